@@ -116,7 +116,7 @@ pub async fn open(
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
-    let service = service.with_nodes(nodes);
+    let service = service.with_nodes(nodes).with_dashboard(configuration.dashboard.clone());
     let service = service.with_tracer(exporter.as_ref().map(Exporter::tracer).cloned());
     Ok(App { store, service, exporter })
 }

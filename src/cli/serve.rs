@@ -7,7 +7,7 @@ use clap::Args;
 use tokio::net::TcpListener;
 
 use crate::app;
-use crate::config::ServiceConfiguration;
+use crate::config::{S3Keys, ServiceConfiguration};
 use crate::feeds::{FeedOptions, TimeLimits};
 use crate::refusal::Code;
 
@@ -159,7 +159,21 @@ pub(super) fn configuration_of(file: Option<&Path>) -> Result<ServiceConfigurati
         let message = format!("{}: {error}", path.display());
         Failure::of(Code::FileNotReadable, message)
     })?;
-    Ok(ServiceConfiguration::from_toml(&text)?)
+    let mut configuration = ServiceConfiguration::from_toml(&text)?;
+    if let Some(s3) = &mut configuration.jobs.s3 {
+        s3.keys = s3_keys();
+    }
+    Ok(configuration)
+}
+
+/// The credentials of an S3 service in the environment, under the names of its other clients.
+fn s3_keys() -> Option<S3Keys> {
+    let value = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
+    Some(S3Keys {
+        id: value("AWS_ACCESS_KEY_ID")?,
+        secret: value("AWS_SECRET_ACCESS_KEY")?,
+        token: value("AWS_SESSION_TOKEN"),
+    })
 }
 
 /// Runs the service.

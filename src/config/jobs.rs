@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use serde::Deserialize;
 
+use super::s3::S3Configuration;
+
 /// Options of batch jobs.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -11,6 +13,9 @@ pub struct JobsConfiguration {
     /// Folder of the uploaded files and of the results. If absent, `DATABASE.jobs` beside a SQLite
     /// database; a service on Postgres then takes no jobs. The nodes of a cluster need the same.
     pub folder: Option<PathBuf>,
+    /// Bucket in which the files are, in place of the folder. The folder then has only what is on
+    /// its way; each process may have its own.
+    pub s3: Option<S3Configuration>,
     /// Bytes of one uploaded file.
     pub file_bytes: u64,
     /// Bytes of one uploaded file after unpacking.
@@ -50,6 +55,7 @@ impl JobsConfiguration {
     pub const fn standard() -> Self {
         Self {
             folder: None,
+            s3: None,
             file_bytes: 1 << 30,
             unpacked_bytes: 4 << 30,
             total_bytes: 16 << 30,

@@ -5,6 +5,7 @@
 
 mod choices;
 mod cluster;
+mod dashboard;
 mod error;
 mod graph_options;
 mod graph_table;
@@ -19,6 +20,7 @@ mod output_table;
 mod positioning;
 mod rtk_options;
 mod rtk_table;
+mod s3;
 mod secrets;
 mod service;
 mod telemetry;
@@ -29,6 +31,7 @@ pub(crate) use choices::{
     DopplerUse, IonosphereModel, KernelLaw, TroposphereMapping, TroposphereModel, WeightModel,
 };
 pub use cluster::ClusterConfiguration;
+pub use dashboard::DashboardConfiguration;
 pub use error::ConfigError;
 pub use graph_options::GraphOptions;
 pub use integrity_options::IntegrityOptions;
@@ -39,6 +42,7 @@ pub use output_options::OutputOptions;
 pub use positioning::PositioningOptions;
 pub(crate) use positioning::REFERENCE_CN0_DB_HZ;
 pub use rtk_options::RtkOptions;
+pub use s3::{S3Configuration, S3Keys};
 pub use secrets::SecretsConfiguration;
 pub use service::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, FetchConfiguration,

@@ -12,8 +12,10 @@ use serde::Deserialize;
 use crate::refusal::Code;
 
 use super::cluster::ClusterConfiguration;
+use super::dashboard::DashboardConfiguration;
 use super::jobs::JobsConfiguration;
 use super::limits::Limits;
+use super::s3::S3Configuration;
 use super::secrets::SecretsConfiguration;
 use super::telemetry::TelemetryConfiguration;
 use super::tls::TlsConfiguration;
@@ -69,6 +71,8 @@ pub struct ServiceConfiguration {
     /// Table of the geoid's heights: PGM of GeographicLib, GTX or ISG, plain or gzip. Sessions and
     /// jobs with the option `geoid` state heights above it.
     pub geoid_file: Option<PathBuf>,
+    /// The dashboard.
+    pub dashboard: DashboardConfiguration,
     /// Batch jobs.
     pub jobs: JobsConfiguration,
     /// Limits on what the service accepts.
@@ -247,6 +251,7 @@ impl ServiceConfiguration {
             bases: BasesConfiguration { networks: Vec::new(), table_interval_s: 3600, idle_s: 300 },
             antennas: AntennasConfiguration { antex: None },
             geoid_file: None,
+            dashboard: DashboardConfiguration::default(),
             jobs: JobsConfiguration::standard(),
             limits: Limits::standard(),
         }
@@ -288,6 +293,10 @@ impl ServiceConfiguration {
         self.check_cluster()?;
         if let Some(name) = self.jobs.zero() {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
+        }
+        let wrong = self.jobs.s3.as_ref().and_then(S3Configuration::wrong);
+        if let Some(wrong) = wrong.or_else(|| self.dashboard.wrong()) {
+            return Err(ServiceConfigurationError::Malformed(wrong.to_owned()));
         }
         if self.jobs.running == 0 && self.database.starts_with("sqlite:") {
             let why = "jobs.running must be at least 1 on SQLite, where no worker takes jobs";

@@ -99,6 +99,7 @@ pub const CALLS: &[Call] = &[
     call("Jobs/Watch", "GET /v1/jobs/{job}/events", &[Read]),
     call("Jobs/List", "GET /v1/jobs", &[Read]),
     call("Jobs/Cancel", "DELETE /v1/jobs/{job}", &[Operate]),
+    call("Jobs/Delete", "DELETE /v1/jobs/{job}?purge=true", &[Operate]).act("Jobs.Delete"),
     call("Jobs/Report", "GET /v1/jobs/{job}/report", &[Read]),
     call("Jobs/Result", "GET /v1/jobs/{job}/result", &[Read]),
     call("Jobs/Deliveries", "GET /v1/jobs/{job}/deliveries", &[Read]),

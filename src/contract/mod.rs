@@ -40,6 +40,7 @@ pub use presenter::Presenter;
 pub use refusal::Refusal;
 pub(crate) use request_meters::{Outcome, RequestMeters};
 pub use service::Service;
+pub(crate) use service::Tiles;
 pub(crate) use sign_in::SignedIn;
 pub(crate) use threads::{in_background, off_the_network};
 

@@ -271,6 +271,7 @@ impl From<JobError> for Refusal {
             | JobError::WorkerOnSqlite
             | JobError::FolderDiffers { .. }
             | JobError::FolderNotShared { .. }
+            | JobError::Bucket(_)
             | JobError::Draining => None,
         };
         Self::new(error.code(), error.to_string()).at_some(field)

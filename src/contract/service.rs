@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 use crate::aiding::{AidingDesk, BaseBroker, NavigationBroker};
-use crate::config::Limits;
+use crate::config::{DashboardConfiguration, Limits};
 use crate::feeds::Feeds;
 use crate::jobs::Jobs;
 use crate::keys::Keys;
@@ -28,6 +28,16 @@ const FILE_READERS: usize = 1;
 #[derive(Clone)]
 pub struct Service(Arc<Desks>);
 
+/// Tiles below maps.
+pub(crate) struct Tiles {
+    /// Their address, with `{z}`, `{x}` and `{y}`.
+    pub(crate) template: String,
+    /// Scheme, host and port of this address.
+    pub(crate) origin: String,
+    /// Whose they are.
+    pub(crate) attribution: String,
+}
+
 #[derive(Clone)]
 struct Desks {
     sessions: Sessions,
@@ -49,6 +59,8 @@ struct Desks {
     refused_acts: Arc<RefusedActs>,
     /// TLS of the port; `None` if it is not encrypted.
     tls: Option<ServerTls>,
+    /// The dashboard.
+    dashboard: DashboardConfiguration,
     /// The other nodes; `None` for a service without a cluster.
     nodes: Option<Nodes>,
     /// Begins traces; `None` if nobody collects them.
@@ -89,6 +101,7 @@ impl Service {
             meters: RequestMeters::new(),
             refused_acts: Arc::default(),
             tls: None,
+            dashboard: DashboardConfiguration::default(),
             nodes: None,
             tracer: None,
             streams,
@@ -120,6 +133,23 @@ impl Service {
     pub(crate) fn with_tls(mut self, tls: Option<ServerTls>) -> Self {
         Arc::make_mut(&mut self.0).tls = tls;
         self
+    }
+
+    /// The service with these options of the dashboard.
+    #[must_use]
+    pub(crate) fn with_dashboard(mut self, dashboard: DashboardConfiguration) -> Self {
+        Arc::make_mut(&mut self.0).dashboard = dashboard;
+        self
+    }
+
+    /// Tiles below the maps of the dashboard, if the operator names any.
+    pub(crate) fn tiles(&self) -> Option<Tiles> {
+        let options = &self.0.dashboard;
+        Some(Tiles {
+            template: options.tiles.clone()?,
+            origin: options.tiles_origin()?,
+            attribution: options.attribution.trim().to_owned(),
+        })
     }
 
     /// The service with traces, unless `tracer` is `None`.

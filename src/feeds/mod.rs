@@ -54,5 +54,7 @@ pub(crate) use post::post;
 pub use sources::NavigationSources;
 pub(crate) use sources::SourceStatus;
 pub(crate) use tenant_feeds::TenantFeeds;
+#[cfg(feature = "s3")]
+pub(crate) use web::exchange;
 pub use web::{Fetched, Validators, fetch};
 pub use web::{Url, WebError};

@@ -230,7 +230,7 @@ async fn ask(
 
 /// Sends a request on a connection of its own, and gives the answer to `take`, if its head comes
 /// within `longest`.
-pub(super) async fn exchange<B, T, F>(
+pub(crate) async fn exchange<B, T, F>(
     connector: &Connector,
     at: &Url,
     (request, longest): (Request<B>, Duration),

@@ -35,6 +35,13 @@ impl Jobs for Door {
         carry(calls::jobs::cancel(&self.0.caller()?, request.into_inner()).await)
     }
 
+    async fn delete(
+        &self,
+        request: Request<v1::DeleteJobRequest>,
+    ) -> Result<Response<v1::Job>, Status> {
+        carry(calls::jobs::delete(&self.0.caller()?, request.into_inner()).await)
+    }
+
     type WatchStream = Answered<v1::Job>;
 
     async fn watch(

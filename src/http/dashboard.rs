@@ -12,15 +12,18 @@ use axum::routing::get;
 use flate2::Compression;
 use flate2::write::GzEncoder;
 
+use crate::contract::Tiles;
+
 use super::pages;
 
 /// Path and content of each file.
 const FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/dashboard.rs"));
 
-/// `Content-Security-Policy` of the dashboard: its own files and calls, nothing inline.
-const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; \
-                      connect-src 'self'; base-uri 'none'; form-action 'none'; \
-                      frame-ancestors 'none'";
+/// The page, which names the others.
+const PAGE: &str = "/index.html";
+/// The part of the page that says where tiles for maps are: nowhere.
+const NO_TILES: &str = "<meta name=\"graphfix-tiles\" content=\"\">";
+
 /// A name with the hash of its content never has another content.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
 /// The page names the files of this version.
@@ -28,21 +31,57 @@ const ASK_AGAIN: &str = "no-cache";
 
 /// The files with their gzip form, which is made when it is first asked for.
 #[derive(Clone)]
-struct Files(Arc<[OnceLock<Bytes>]>);
+struct Files {
+    packed: Arc<[OnceLock<Bytes>]>,
+    /// The page with the options of the dashboard.
+    page: Bytes,
+    policy: HeaderValue,
+}
 
 /// The routes of the dashboard.
-pub(super) fn routes() -> Router {
-    let files = Files(FILES.iter().map(|_| OnceLock::new()).collect());
+pub(super) fn routes(tiles: Option<&Tiles>) -> Router {
+    let page = FILES.iter().find(|(path, _)| *path == PAGE).map_or(&[][..], |(_, page)| *page);
+    let files = Files {
+        packed: FILES.iter().map(|_| OnceLock::new()).collect(),
+        page: with_tiles(page, tiles),
+        policy: policy(tiles),
+    };
     Router::new()
-        .route("/", get(page))
+        .route("/", get(page_of))
         .route("/licences.txt", get(licences))
         .route("/assets/{file}", get(asset))
         .with_state(files)
 }
 
+/// The page that names the tiles, if there are any.
+fn with_tiles(page: &'static [u8], tiles: Option<&Tiles>) -> Bytes {
+    let Some(Tiles { template, attribution, .. }) = tiles else { return Bytes::from_static(page) };
+    let (template, attribution) = (escaped(template), escaped(attribution));
+    let name = "<meta name=\"graphfix-tiles\"";
+    let meta = format!("{name} content=\"{template}\" data-attribution=\"{attribution}\">");
+    String::from_utf8_lossy(page).replace(NO_TILES, &meta).into()
+}
+
+/// A text as the value of an attribute.
+fn escaped(text: &str) -> String {
+    let escaped = text.replace('&', "&amp;").replace('"', "&quot;");
+    escaped.replace('<', "&lt;").replace('>', "&gt;")
+}
+
+/// `Content-Security-Policy` of the dashboard: its own files and calls, nothing inline, and
+/// pictures of the host of tiles, if there is one.
+fn policy(tiles: Option<&Tiles>) -> HeaderValue {
+    let tiles = tiles.map(|tiles| format!(" {}", tiles.origin)).unwrap_or_default();
+    let policy = format!(
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'{tiles}; \
+         connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    );
+    policy.try_into().expect("the configuration has checked the host")
+}
+
 /// `GET /`: the page, which loads the others.
-async fn page(State(files): State<Files>, headers: HeaderMap) -> Response {
-    files.answer("/index.html", &headers).unwrap_or_default()
+async fn page_of(State(files): State<Files>, headers: HeaderMap) -> Response {
+    files.answer(PAGE, &headers).unwrap_or_default()
 }
 
 /// `GET /licences.txt`: the licences of the libraries in the dashboard.
@@ -67,18 +106,21 @@ impl Files {
     /// The answer to a request for a file; `None` if there is no such file.
     fn answer(&self, path: &str, asked: &HeaderMap) -> Option<Response> {
         let index = FILES.iter().position(|(known, _)| *known == path)?;
-        let (_, content) = FILES[index];
+        let content = match path {
+            PAGE => self.page.clone(),
+            _ => Bytes::from_static(FILES[index].1),
+        };
         let is_packed = accepts_gzip(asked);
         let body = match is_packed {
-            true => self.0[index].get_or_init(|| packed(content)).clone(),
-            false => Bytes::from_static(content),
+            true => self.packed[index].get_or_init(|| packed(&content)).clone(),
+            false => content,
         };
         let mut response = Body::from(body).into_response();
         let headers = response.headers_mut();
         let caching = if path.starts_with("/assets/") { FOR_EVER } else { ASK_AGAIN };
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(kind(path)));
         headers.insert(header::CACHE_CONTROL, HeaderValue::from_static(caching));
-        headers.insert(header::CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+        headers.insert(header::CONTENT_SECURITY_POLICY, self.policy.clone());
         headers.insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
         headers.insert(header::VARY, HeaderValue::from_static("accept-encoding"));
         if is_packed {
@@ -108,5 +150,28 @@ fn kind(path: &str) -> &'static str {
         "svg" => "image/svg+xml",
         "json" => "application/json",
         _ => "text/plain; charset=utf-8",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tiles_open_the_policy_for_their_host_alone() {
+        let (_, page) = FILES.iter().find(|(path, _)| *path == PAGE).unwrap();
+        assert_eq!(with_tiles(page, None), *page);
+        assert!(policy(None).to_str().unwrap().contains("img-src 'self'; "));
+        let tiles = Tiles {
+            template: "https://tiles.example:8443/{z}/{x}/{y}.png?a=1&b=2".to_owned(),
+            origin: "https://tiles.example:8443".to_owned(),
+            attribution: "© \"A\" <B>".to_owned(),
+        };
+        let shown = String::from_utf8(with_tiles(page, Some(&tiles)).to_vec()).unwrap();
+        assert!(shown.contains("/{z}/{x}/{y}.png?a=1&amp;b=2\""), "{shown}");
+        assert!(shown.contains("\"© &quot;A&quot; &lt;B&gt;\""), "{shown}");
+        let policy = policy(Some(&tiles));
+        let policy = policy.to_str().unwrap();
+        assert!(policy.contains("img-src 'self' https://tiles.example:8443; connect"), "{policy}");
     }
 }

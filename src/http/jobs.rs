@@ -122,15 +122,30 @@ pub(super) async fn list(
     Ok(Json(calls::jobs::list(&caller, request).await?))
 }
 
-/// Ends a job that waits or runs. A job that has ended stays as it is.
+/// Whether to delete a job.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct EndQuery {
+    /// Deletes a job that has ended, with its result, before it expires. It is then not found any
+    /// more.
+    purge: bool,
+}
+
+/// Ends a job that waits or runs. A job that has ended stays as it is, unless it is purged.
 #[utoipa::path(delete, operation_id = "jobsCancel",
     path = "/v1/jobs/{job}", tag = "Jobs",
-    params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, description = "The job", body = v1::Job), Refused))]
-pub(super) async fn cancel(
+    params(("job" = String, Path, description = "Its id"), EndQuery),
+    responses((status = 200, description = "The job as it is now, or was",
+        body = v1::Job), Refused))]
+pub(super) async fn end(
     caller: Caller,
     Path(job): Path<String>,
+    StrictQuery(query): StrictQuery<EndQuery>,
 ) -> Result<Json<v1::Job>, Refused> {
+    if query.purge {
+        return Ok(Json(calls::jobs::delete(&caller, v1::DeleteJobRequest { job }).await?));
+    }
     Ok(Json(calls::jobs::cancel(&caller, v1::CancelJobRequest { job }).await?))
 }
 

@@ -67,7 +67,7 @@ pub fn router(service: &Service) -> Router {
         .layer(Extension(BodyLimit(limit.min(CONTROL_BYTES))))
         .merge(contents().layer(Extension(BodyLimit(limit))))
         .with_state(service.clone())
-        .merge(dashboard::routes())
+        .merge(dashboard::routes(service.tiles().as_ref()))
         .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
         .layer(RequestDecompressionLayer::new())
         .layer(CatchPanicLayer::custom(server::panicked));
@@ -103,7 +103,7 @@ fn controls() -> Router<Service> {
         .route("/v1/bases", get(bases::list).post(bases::create))
         .route("/v1/bases/{base}", get(bases::get).delete(bases::delete))
         .route(jobs::PATH, get(jobs::list).post(jobs::create))
-        .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::cancel))
+        .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::end))
         .route("/v1/jobs/{job}/events", get(job_events::events))
         .route("/v1/jobs/{job}/result", get(jobs::result))
         .route("/v1/jobs/{job}/report", get(jobs::report))

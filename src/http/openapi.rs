@@ -77,7 +77,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         jobs::list,
         jobs::get,
         job_events::events,
-        jobs::cancel,
+        jobs::end,
         jobs::result,
         jobs::report,
         jobs::deliveries,

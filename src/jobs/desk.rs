@@ -2,7 +2,6 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use tokio::fs::File;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
@@ -16,6 +15,7 @@ use crate::tenant::Tenant;
 
 use super::JobError;
 use super::arriving::Upload;
+use super::content::ResultContent;
 use super::deliveries::{self, Deliveries};
 use super::fetching::{self, InputUrl};
 use super::files::{JobFiles, StoredFile};
@@ -83,8 +83,7 @@ impl Jobs {
             Some(folder) => {
                 let named = Named::read(&store).await?;
                 let is_alone = store.file().is_some();
-                let files = JobFiles::open(folder, limits.clone(), &named, is_alone);
-                let files = files.map_err(JobError::disk("opening the folder of jobs"))?;
+                let files = JobFiles::open(folder, limits.clone(), &named, is_alone).await?;
                 shared::join(&store, &files).await?;
                 store.set_job_folder(files.id()).await?;
                 Some(Arc::new(files))
@@ -233,15 +232,18 @@ impl Jobs {
         self.get(id).await
     }
 
-    /// Deletes a job that has ended, with its result, as an act of `author`. A message that waits
-    /// for its webhook is given up.
+    /// Deletes a job that has ended, with its result, by a call of `author`. A message that waits
+    /// for its webhook is given up. Returns the job as it was.
     ///
     /// # Errors
     /// No job has this id, it has not ended, or the store fails.
-    pub(crate) async fn delete(&self, id: &JobId, author: &Author) -> Result<(), JobError> {
+    pub(crate) async fn delete(
+        &self,
+        id: &JobId,
+        (call, author): (&'static str, &Author),
+    ) -> Result<JobInfo, JobError> {
         let job = self.ended(id).await?;
         let change = format!("state {}", job.state.name());
-        let call = "Operations.DeleteOperation";
         let act = Act { call, tenant: &self.tenant, object: id.as_str(), change };
         let entry = author.does(act, self.unix_ms());
         if !self.desk.store.delete_job(&self.tenant, id.as_str(), &entry).await? {
@@ -249,10 +251,10 @@ impl Jobs {
         }
         // Its inputs are removed later: other jobs may name them, too.
         if let Some(JobResult { file, bytes }) = &job.result {
-            self.desk.files()?.remove_result(file, *bytes);
+            self.desk.files()?.remove_result(file, *bytes).await;
         }
         self.desk.changed();
-        Ok(())
+        Ok(job)
     }
 
     /// The number of changes of all jobs. It wakes whoever watches one.
@@ -263,14 +265,14 @@ impl Jobs {
     /// The result of a job: the job, and its file from the first byte.
     ///
     /// # Errors
-    /// No job has this id, it has no result, or the store or the disk fails.
-    pub async fn result(&self, id: &JobId) -> Result<(JobInfo, File), JobError> {
+    /// No job has this id, it has no result, or the store, the disk or the bucket fails.
+    pub async fn result(&self, id: &JobId) -> Result<(JobInfo, ResultContent), JobError> {
         let job = self.ended(id).await?;
         let Some(result) = &job.result else {
             return Err(JobError::WithoutResult { id: id.to_string(), state: job.state.name() });
         };
-        let file = File::open(self.desk.files()?.result(&result.file)).await;
-        Ok((job, file.map_err(JobError::disk("opening the result"))?))
+        let content = self.desk.files()?.open_result(&result.file, result.bytes).await?;
+        Ok((job, content))
     }
 
     /// A job that has ended.

@@ -10,6 +10,8 @@ use crate::refusal::Code;
 use crate::session::SessionError;
 use crate::store::StoreError;
 
+use super::bucket::BucketError;
+
 /// Why the desk refuses a call. [`super::Failure`] is why a job has no result.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum JobError {
@@ -122,6 +124,9 @@ pub enum JobError {
         /// What the system reports.
         source: Arc<io::Error>,
     },
+    /// The bucket of the files fails.
+    #[error(transparent)]
+    Bucket(#[from] BucketError),
     /// No upload has this id.
     #[error("there is no upload {id:?}")]
     UploadNotFound {
@@ -201,6 +206,7 @@ impl JobError {
             Self::NotEnded { .. } => Code::JobNotEnded,
             Self::WithoutResult { .. } => Code::JobWithoutResult,
             Self::Disk { .. } => Code::JobFilesFailed,
+            Self::Bucket(error) => error.code(),
             Self::UploadNotFound { .. } => Code::UploadNotFound,
             Self::UploadBusy { .. } => Code::UploadBusy,
             Self::UploadOffset { .. } => Code::UploadOffsetDiffers,

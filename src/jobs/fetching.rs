@@ -243,7 +243,10 @@ async fn fetched(
 }
 
 /// The result of `work`; `None` if the job is stopped before.
-async fn unless_stopped<T>(running: &Running, work: impl Future<Output = T>) -> Option<T> {
+pub(super) async fn unless_stopped<T>(
+    running: &Running,
+    work: impl Future<Output = T>,
+) -> Option<T> {
     let stopped = async {
         while !running.is_stopped() {
             sleep(LOOK).await;

@@ -1,13 +1,19 @@
-//! The folder of jobs: inputs, named after the hash of their content, and results.
+//! The files of jobs: inputs, named after the hash of their content, and results.
+//!
+//! They are in the folder of jobs, or in a bucket under the same names.
 //!
 //! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
 //! `inputs` and `results` stand in the store. What does not is removed once it is old, and at the
 //! start of a service that is alone. Other processes may write there, so the bytes of all files are
 //! counted again at an interval. The file `folder.id` identifies the folder. Each node of a cluster
 //! has a file there (`shared`).
+//!
+//! With a bucket the folder has what is on its way only, so each process may have its own: uploads
+//! that arrive, in `incoming`; inputs that a run reads and results that it writes, in files without
+//! a name, of which nothing is left when the process ends.
 
 use std::collections::HashMap;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,11 +27,12 @@ use uuid::Uuid;
 use crate::config::JobsConfiguration;
 
 use super::JobError;
+use super::bucket::{Bucket, BucketError, Listed, Patience};
 use super::named::{Named, result_name};
 
 const INCOMING: &str = "incoming";
-const INPUTS: &str = "inputs";
-const RESULTS: &str = "results";
+pub(super) const INPUTS: &str = "inputs";
+pub(super) const RESULTS: &str = "results";
 const FOLDER_ID: &str = "folder.id";
 /// A file that arrives is written to at least this often.
 const ARRIVES_FOR: Duration = Duration::from_secs(3600);
@@ -36,14 +43,19 @@ const UNNAMED_FOR: Duration = Duration::from_secs(600);
 const FOLDERS: [&str; 3] = [INCOMING, INPUTS, RESULTS];
 /// Ages from which files that no job names are removed, by folder.
 const AGES: [Duration; 3] = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR];
+/// The same in a bucket: its clock and that of a client may differ by a quarter of an hour.
+const UNNAMED_IN_BUCKET_FOR: Duration = Duration::from_secs(1800);
 
-/// The folder of jobs.
+/// The files of jobs.
 pub(super) struct JobFiles {
     folder: PathBuf,
+    bucket: Option<Arc<Bucket>>,
     id: String,
     limits: JobsConfiguration,
     /// Bytes of all files.
     used: AtomicU64,
+    /// Bytes of results that are written, and in neither folder nor bucket yet.
+    writing: AtomicU64,
     /// Number of uploads that have each input and are not a job yet.
     held: Mutex<HashMap<String, usize>>,
     uploads: Arc<Semaphore>,
@@ -59,50 +71,77 @@ pub struct StoredFile {
 }
 
 impl JobFiles {
-    /// Opens the folder of a service, which is created if absent. Files that no job names are
-    /// removed: all if the service is alone, else the old ones.
+    /// Opens the folder of a service, which is created if absent, and its bucket, if it has one.
+    /// Files that no job names are removed: all of a folder if the service is alone, else the old
+    /// ones.
     ///
     /// # Errors
-    /// The folder cannot be read or written.
-    pub(super) fn open(
+    /// The folder or the bucket cannot be read or written.
+    pub(super) async fn open(
         folder: PathBuf,
         limits: JobsConfiguration,
         named: &Named,
         is_alone: bool,
-    ) -> io::Result<Self> {
-        for inside in FOLDERS {
-            fs::create_dir_all(folder.join(inside))?;
-        }
-        let id = identified(&folder)?;
-        let files = Self::of(folder, id, limits)?;
+    ) -> Result<Self, JobError> {
+        let bucket = Self::bucket_of(&limits)?;
+        let made = local(bucket.as_deref())
+            .iter()
+            .try_for_each(|inside| fs::create_dir_all(folder.join(inside)));
+        made.map_err(JobError::disk("opening the folder of jobs"))?;
+        let id = match &bucket {
+            Some(bucket) => identified_in(bucket).await?,
+            None => identified(&folder).map_err(JobError::disk("opening the folder of jobs"))?,
+        };
+        let files = Self::of(folder, bucket, id, limits).await?;
         let ages = if is_alone { [Duration::ZERO; 3] } else { AGES };
-        files.remove_unnamed(named, ages)?;
+        files.remove_unnamed(named, ages).await?;
         Ok(files)
     }
 
-    /// The folder of a service that has this identity, for another process.
+    /// The files of a service whose folder or bucket has this identity, for another process.
     ///
     /// # Errors
     /// It is another one, or cannot be read.
-    pub(super) fn join(
+    pub(super) async fn join(
         folder: PathBuf,
         limits: JobsConfiguration,
         id: Option<&str>,
     ) -> Result<Self, JobError> {
-        let read = fs::read_to_string(folder.join(FOLDER_ID)).ok();
+        let bucket = Self::bucket_of(&limits)?;
+        let (read, name) = match &bucket {
+            Some(bucket) => (bucket.text(FOLDER_ID).await?, bucket.name()),
+            None => {
+                let read = fs::read_to_string(folder.join(FOLDER_ID)).ok();
+                (read, folder.display().to_string())
+            }
+        };
         match read.filter(|read| Some(read.as_str()) == id) {
-            None => Err(JobError::FolderDiffers { folder: folder.display().to_string() }),
+            None => Err(JobError::FolderDiffers { folder: name }),
             Some(id) => {
-                Self::of(folder, id, limits).map_err(JobError::disk("reading the folder of jobs"))
+                let made = local(bucket.as_deref())
+                    .iter()
+                    .try_for_each(|inside| fs::create_dir_all(folder.join(inside)));
+                made.map_err(JobError::disk("opening the folder of jobs"))?;
+                Self::of(folder, bucket, id, limits).await
             }
         }
     }
 
-    fn of(folder: PathBuf, id: String, limits: JobsConfiguration) -> io::Result<Self> {
+    fn bucket_of(limits: &JobsConfiguration) -> Result<Option<Arc<Bucket>>, JobError> {
+        let bucket = limits.s3.as_ref().map(Bucket::open).transpose()?;
+        Ok(bucket.map(Arc::new))
+    }
+
+    async fn of(
+        folder: PathBuf,
+        bucket: Option<Arc<Bucket>>,
+        id: String,
+        limits: JobsConfiguration,
+    ) -> Result<Self, JobError> {
         let uploads = Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS)));
-        let (used, held) = (AtomicU64::new(0), Mutex::default());
-        let files = Self { folder, id, limits, used, held, uploads };
-        files.count()?;
+        let (used, writing, held) = (AtomicU64::new(0), AtomicU64::new(0), Mutex::default());
+        let files = Self { folder, bucket, id, limits, used, writing, held, uploads };
+        files.count().await?;
         Ok(files)
     }
 
@@ -111,7 +150,12 @@ impl JobFiles {
         &self.folder
     }
 
-    /// The identity of the folder.
+    /// The bucket, if the files are in one.
+    pub(super) fn bucket(&self) -> Option<&Arc<Bucket>> {
+        self.bucket.as_ref()
+    }
+
+    /// The identity of the folder or bucket.
     pub(super) fn id(&self) -> &str {
         &self.id
     }
@@ -119,18 +163,38 @@ impl JobFiles {
     /// Counts the bytes of all files. What is written meanwhile is counted at the next time.
     ///
     /// # Errors
-    /// The folder cannot be read.
-    pub(super) fn count(&self) -> io::Result<()> {
-        let (before, mut bytes) = (self.used.load(Ordering::Acquire), 0);
-        for inside in FOLDERS {
-            for entry in fs::read_dir(self.folder.join(inside))? {
-                // Err: it is removed meanwhile.
-                bytes += entry?.metadata().map_or(0, |metadata| metadata.len());
+    /// The folder or the bucket cannot be read.
+    pub(super) async fn count(&self) -> Result<(), JobError> {
+        let before = self.used.load(Ordering::Acquire);
+        let mut bytes = self.counted_in_folder().map_err(JobError::disk("counting files"))?;
+        if let Some(bucket) = &self.bucket {
+            bytes += self.writing.load(Ordering::Acquire);
+            for inside in [INPUTS, RESULTS] {
+                let mut token = None;
+                loop {
+                    let (page, next) = bucket.page(&format!("{inside}/"), token).await?;
+                    bytes += page.iter().map(|object| object.bytes).sum::<u64>();
+                    token = next;
+                    if token.is_none() {
+                        break;
+                    }
+                }
             }
         }
         let recounted = |used: u64| Some((used + bytes).saturating_sub(before));
         self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, recounted).ok();
         Ok(())
+    }
+
+    fn counted_in_folder(&self) -> io::Result<u64> {
+        let mut bytes = 0;
+        for inside in local(self.bucket.as_deref()) {
+            for entry in fs::read_dir(self.folder.join(inside))? {
+                // Err: it is removed meanwhile.
+                bytes += entry?.metadata().map_or(0, |metadata| metadata.len());
+            }
+        }
+        Ok(bytes)
     }
 
     /// The right to upload files.
@@ -148,12 +212,12 @@ impl JobFiles {
         &self.limits
     }
 
-    /// The path of an input.
+    /// The path of an input in the folder.
     pub(super) fn input(&self, hash: &str) -> PathBuf {
         self.folder.join(INPUTS).join(hash)
     }
 
-    /// The path of a result.
+    /// The path of a result in the folder.
     pub(super) fn result(&self, name: &str) -> PathBuf {
         self.folder.join(RESULTS).join(name)
     }
@@ -192,7 +256,7 @@ impl JobFiles {
     /// Stores a file under the hash of its content. Returns whether there was no equal one.
     ///
     /// # Errors
-    /// The disk fails.
+    /// The disk or the bucket fails.
     pub(super) async fn store(
         self: &Arc<Self>,
         from: PathBuf,
@@ -200,6 +264,15 @@ impl JobFiles {
         bytes: u64,
     ) -> Result<(StoredFile, bool), JobError> {
         let stored = self.hold(hash, bytes);
+        if let Some(bucket) = &self.bucket {
+            let name = format!("{INPUTS}/{}", stored.hash);
+            let is_new = bucket.size(&name).await?.is_none();
+            let opened = File::open(&from).map_err(JobError::disk("reading an upload"))?;
+            // Over an equal one, so that its age begins again.
+            bucket.put(&name, (Arc::new(opened), bytes), Patience::Call).await?;
+            fs::remove_file(from).map_err(JobError::disk("removing an upload"))?;
+            return Ok((stored, is_new));
+        }
         let path = self.input(&stored.hash);
         let is_new = !path.exists();
         // Over an equal file, so that its age begins again.
@@ -216,32 +289,127 @@ impl JobFiles {
     }
 
     /// Removes a result, and gives its `bytes` up.
-    pub(super) fn remove_result(&self, name: &str, bytes: u64) {
-        // Err: it was not written.
-        fs::remove_file(self.result(name)).ok();
+    pub(super) async fn remove_result(&self, name: &str, bytes: u64) {
+        match &self.bucket {
+            // Err: it is removed once it is old, as no job names it.
+            Some(bucket) => drop(bucket.delete(&format!("{RESULTS}/{name}")).await),
+            // Err: it was not written.
+            None => drop(fs::remove_file(self.result(name))),
+        }
         self.release(bytes);
     }
 
-    /// Removes what lost claims of a job have written before this one.
+    /// Begins a result.
+    ///
+    /// # Errors
+    /// The disk fails.
+    pub(super) fn begin_result(&self, name: &str) -> io::Result<File> {
+        match &self.bucket {
+            Some(_) => self.nameless(),
+            None => File::create_new(self.result(name)),
+        }
+    }
+
+    /// Takes `bytes` more of the space of all files for a result that is written.
+    ///
+    /// # Errors
+    /// It has fewer left.
+    pub(super) fn reserve_for_result(&self, bytes: u64) -> Result<(), JobError> {
+        self.reserve(bytes)?;
+        self.writing.fetch_add(bytes, Ordering::AcqRel);
+        Ok(())
+    }
+
+    /// Makes a result of this size durable.
+    ///
+    /// # Errors
+    /// The disk or the bucket fails.
+    pub(super) async fn finish_result(
+        &self,
+        name: &str,
+        (file, bytes): (File, u64),
+    ) -> Result<(), JobError> {
+        if let Some(bucket) = &self.bucket {
+            let (name, file) = (format!("{RESULTS}/{name}"), (Arc::new(file), bytes));
+            return Ok(bucket.put(&name, file, Patience::Run).await?);
+        }
+        let stored = file.sync_all().and_then(|()| sync(&self.folder.join(RESULTS)));
+        stored.map_err(JobError::disk("writing the result"))
+    }
+
+    /// No more of a result is written. What is in the folder is removed unless it is done.
+    pub(super) fn end_result(&self, name: &str, bytes: u64, is_done: bool) {
+        let less = |writing: u64| Some(writing.saturating_sub(bytes));
+        self.writing.fetch_update(Ordering::AcqRel, Ordering::Acquire, less).ok();
+        if !is_done {
+            if self.bucket.is_none() {
+                // Err: it was not written.
+                fs::remove_file(self.result(name)).ok();
+            }
+            self.release(bytes);
+        }
+    }
+
+    /// A new file of the folder without a name.
+    pub(super) fn nameless(&self) -> io::Result<File> {
+        let path = self.arriving(&Uuid::new_v4().simple().to_string());
+        let file = File::options().read(true).write(true).create_new(true).open(&path)?;
+        fs::remove_file(path)?;
+        Ok(file)
+    }
+
+    /// Removes what lost claims of a job have written to the folder before this one. In a bucket it
+    /// is removed once it is old.
     pub(super) fn remove_results_of_lost_claims(&self, job: &str, fence: i64) {
+        if self.bucket.is_some() {
+            return;
+        }
         for lost in (fence - LOST_RESULTS).max(1)..fence {
-            let name = result_name(job, lost);
-            let bytes = fs::metadata(self.result(&name)).map_or(0, |metadata| metadata.len());
-            self.remove_result(&name, bytes);
+            let path = self.result(&result_name(job, lost));
+            let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+            // Err: it was not written.
+            fs::remove_file(path).ok();
+            self.release(bytes);
         }
     }
 
     /// Removes files that no job names once they are old.
     ///
     /// # Errors
-    /// The folder cannot be read.
-    pub(super) fn remove_old(&self, named: &Named) -> io::Result<()> {
-        self.remove_unnamed(named, AGES)
+    /// The folder or the bucket cannot be read.
+    pub(super) async fn remove_old(&self, named: &Named) -> Result<(), JobError> {
+        self.remove_unnamed(named, AGES).await
     }
 
     /// Removes files that no job names and that are as old, by folder.
-    fn remove_unnamed(&self, named: &Named, ages: [Duration; 3]) -> io::Result<()> {
-        for (inside, age) in FOLDERS.into_iter().zip(ages) {
+    async fn remove_unnamed(&self, named: &Named, ages: [Duration; 3]) -> Result<(), JobError> {
+        let removed = self.remove_from_folder(named, ages);
+        removed.map_err(JobError::disk("removing files of expired jobs"))?;
+        let Some(bucket) = &self.bucket else { return Ok(()) };
+        for inside in [INPUTS, RESULTS] {
+            let (begin, mut token) = (format!("{inside}/"), None);
+            loop {
+                let (page, next) = bucket.page(&begin, token).await?;
+                for Listed { name, bytes, age } in page {
+                    let file = name.strip_prefix(&begin).unwrap_or_default();
+                    let is_held = self.held().contains_key(file);
+                    if UNNAMED_IN_BUCKET_FOR <= age && !named.has(file) && !is_held {
+                        bucket.delete(&name).await?;
+                        self.release(bytes);
+                    }
+                }
+                token = next;
+                if token.is_none() {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The same in the folder.
+    fn remove_from_folder(&self, named: &Named, ages: [Duration; 3]) -> io::Result<()> {
+        for (inside, age) in local(self.bucket.as_deref()).iter().zip(ages) {
             for entry in fs::read_dir(self.folder.join(inside))? {
                 let entry = entry?;
                 let name = entry.file_name().to_string_lossy().into_owned();
@@ -281,6 +449,22 @@ fn identified(folder: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
+/// The identity of a bucket, which it gets if it has none.
+async fn identified_in(bucket: &Bucket) -> Result<String, JobError> {
+    if let Some(id) = bucket.text(FOLDER_ID).await? {
+        return Ok(id);
+    }
+    bucket.put_text(FOLDER_ID, &Uuid::new_v4().simple().to_string()).await?;
+    let missing = || BucketError::Missing { name: FOLDER_ID.to_owned() };
+    // Another process may have been first.
+    Ok(bucket.text(FOLDER_ID).await?.ok_or_else(missing)?)
+}
+
+/// The folders within the folder of jobs.
+const fn local(bucket: Option<&Bucket>) -> &'static [&'static str] {
+    if bucket.is_some() { &[INCOMING] } else { &FOLDERS }
+}
+
 /// Makes a folder's entries durable.
 pub(super) fn sync(folder: &Path) -> io::Result<()> {
     fs::File::open(folder)?.sync_all()
@@ -303,7 +487,7 @@ mod tests {
     use super::super::arriving::Upload;
     use super::*;
 
-    fn files(folder: &Path, total_bytes: u64) -> Arc<JobFiles> {
+    async fn files(folder: &Path, total_bytes: u64) -> Arc<JobFiles> {
         let limits = JobsConfiguration {
             file_bytes: 100,
             total_bytes,
@@ -311,7 +495,8 @@ mod tests {
             uploads: 1,
             ..JobsConfiguration::standard()
         };
-        Arc::new(JobFiles::open(folder.to_owned(), limits, &Named::default(), true).unwrap())
+        let named = Named::default();
+        Arc::new(JobFiles::open(folder.to_owned(), limits, &named, true).await.unwrap())
     }
 
     async fn stored(upload: &mut Upload, bytes: &[u8]) -> Result<StoredFile, JobError> {
@@ -328,7 +513,7 @@ mod tests {
     #[tokio::test]
     async fn equal_files_are_one_and_limits_leave_nothing() {
         let folder = tempfile::tempdir().unwrap();
-        let files = files(folder.path(), 150);
+        let files = files(folder.path(), 150).await;
         let mut upload = Upload::begin_at(&files).unwrap();
         assert!(matches!(Upload::begin_at(&files), Err(JobError::TooManyUploads { limit: 1 })));
         let first = stored(&mut upload, &[7; 90]).await.unwrap();
@@ -347,16 +532,16 @@ mod tests {
     }
 
     /// What the last claim of a job writes stays, also if another process claims it meanwhile.
-    #[test]
-    fn results_that_are_written_stay() {
+    #[tokio::test]
+    async fn results_that_are_written_stay() {
         let folder = tempfile::tempdir().unwrap();
-        let files = files(folder.path(), 1000);
+        let files = files(folder.path(), 1000).await;
         let names = ["job_a.1", "job_a.2", "job_a.3", "job_b.7", "job_c.1"];
         names.iter().for_each(|name| fs::write(files.result(name), b"result").unwrap());
-        files.count().unwrap();
+        files.count().await.unwrap();
         assert_eq!(files.used.load(Ordering::Acquire), 30);
         let named = Named::of(["job_c.1".to_owned()], [("job_a".to_owned(), 2)]);
-        files.remove_unnamed(&named, [Duration::from_nanos(1); 3]).unwrap();
+        files.remove_unnamed(&named, [Duration::from_nanos(1); 3]).await.unwrap();
         let stays = |name: &&str| files.result(name).exists();
         let kept: Vec<_> = names.into_iter().filter(stays).collect();
         assert_eq!(kept, ["job_a.2", "job_a.3", "job_c.1"]);
@@ -365,38 +550,38 @@ mod tests {
         assert_eq!(files.used.load(Ordering::Acquire), 12);
     }
 
-    #[test]
-    fn a_process_joins_the_folder_of_its_service_only() {
+    #[tokio::test]
+    async fn a_process_joins_the_folder_of_its_service_only() {
         let folder = tempfile::tempdir().unwrap();
-        let id = files(folder.path(), 1000).id().to_owned();
-        assert_eq!(files(folder.path(), 1000).id(), id);
-        let join = |id: Option<&str>| {
+        let id = files(folder.path(), 1000).await.id().to_owned();
+        assert_eq!(files(folder.path(), 1000).await.id(), id);
+        let join = async |id: Option<&str>| {
             let limits = JobsConfiguration::standard();
-            JobFiles::join(folder.path().to_owned(), limits, id).map(drop)
+            JobFiles::join(folder.path().to_owned(), limits, id).await.map(drop)
         };
-        assert!(join(Some(&id)).is_ok());
+        assert!(join(Some(&id)).await.is_ok());
         for other in [None, Some("another")] {
-            assert!(matches!(join(other), Err(JobError::FolderDiffers { .. })));
+            assert!(matches!(join(other).await, Err(JobError::FolderDiffers { .. })));
         }
     }
 
     #[tokio::test]
     async fn a_file_stays_while_it_is_held_or_named() {
         let folder = tempfile::tempdir().unwrap();
-        let files = files(folder.path(), 1000);
+        let files = files(folder.path(), 1000).await;
         let mut upload = Upload::begin_at(&files).unwrap();
         let held = stored(&mut upload, b"held").await.unwrap();
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
         let names = Named::of([named.clone()], []);
         let young = [Duration::from_nanos(1); 3];
-        files.remove_unnamed(&names, young).unwrap();
+        files.remove_unnamed(&names, young).await.unwrap();
         assert_eq!(count(folder.path()), 2);
         drop(held);
         // Young files stay: their job may be about to be stored.
-        files.remove_old(&Named::default()).unwrap();
+        files.remove_old(&Named::default()).await.unwrap();
         assert_eq!(count(folder.path()), 2);
-        files.remove_unnamed(&names, young).unwrap();
+        files.remove_unnamed(&names, young).await.unwrap();
         assert_eq!(count(folder.path()), 1);
         assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
         assert_eq!(files.used.load(Ordering::Acquire), 5);

@@ -16,12 +16,15 @@
 //!   claimed by another, ends nothing: its result is removed.
 //! - **A webhook** is told of the end of its job, with a signature, until its host takes the
 //!   message or as many attempts as allowed have failed.
-//! - **Nodes of a cluster** share the folder. Each takes, runs and answers jobs; the one that leads
-//!   fetches, and removes what has expired.
+//! - **A bucket** of an S3 service can have the files in place of the folder.
+//! - **Nodes of a cluster** share the folder or the bucket. Each takes, runs and answers jobs; the
+//!   one that leads fetches, and removes what has expired.
 //! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
 //!   are computed again from the beginning.
 
 mod arriving;
+mod bucket;
+mod content;
 mod deliveries;
 mod desk;
 mod error;
@@ -43,6 +46,8 @@ mod webhook;
 mod worker;
 
 pub use arriving::{ArrivingFile, Upload};
+pub use bucket::BucketError;
+pub use content::{RESULT_CHUNK_BYTES, ResultContent};
 pub use deliveries::Deliveries;
 pub use desk::{Jobs, Submission, UploadedFile};
 pub use error::JobError;

@@ -1,6 +1,7 @@
 //! The tasks of the queue: each claims a job, runs it, writes its heartbeat, and ends it; others
 //! remove what has expired, and count the files.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -94,7 +95,7 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     // Whoever has ended the job before does not name this file. If nobody knows, it is removed once
     // it is old.
     if let (Some(false), Some(bytes), Ok(files)) = (is_ended, bytes, desk.files()) {
-        files.remove_result(&name, bytes);
+        files.remove_result(&name, bytes).await;
     }
     desk.end(&id);
     desk.changed();
@@ -147,6 +148,7 @@ async fn prepared(
         plan: desk.plan(&request).map_err(|error| failed(&error))?,
         request,
         files: desk.files().map_err(|error| failed(&error))?.clone(),
+        inputs: HashMap::new(),
         stored,
         lane: desk.lane.clone(),
         geoid: desk.geoid.clone(),
@@ -206,8 +208,7 @@ pub(super) async fn count(desk: Arc<Desk>) {
     // Err: the time has passed, and the process is not stopping.
     while timeout(COUNT, stopping.wait_for(|stopping| *stopping)).await.is_err() {
         let Some(files) = desk.files.clone() else { return };
-        let counted = spawn_blocking(move || files.count()).await;
-        if let Ok(Err(error)) = counted {
+        if let Err(error) = files.count().await {
             tracing::warn!(%error, "the files of jobs cannot be counted");
         }
     }
@@ -223,7 +224,5 @@ pub(super) async fn remove_expired(desk: &Desk) -> Result<(), JobError> {
     desk.store.delete_expired_uploads(desk.clock.unix_ms()).await?;
     let Some(files) = desk.files.clone() else { return Ok(()) };
     let named = Named::read(&desk.store).await?;
-    let removed = spawn_blocking(move || files.remove_old(&named)).await;
-    let removed = removed.unwrap_or_else(|error| Err(std::io::Error::other(error)));
-    removed.map_err(JobError::disk("removing files of expired jobs"))
+    files.remove_old(&named).await
 }

@@ -1,5 +1,6 @@
 //! One run of a job, on a blocking thread: files in, a file of positions and a report out.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufRead, BufWriter};
 use std::sync::Arc;
@@ -17,7 +18,8 @@ use crate::session::{BATCH_QUANTUM, BatchLane, BatchTurn, Rerun, RerunRequest, S
 use crate::store::{JobProgress, Store};
 use crate::tenant::Tenant;
 
-use super::files::{JobFiles, sync};
+use super::fetching::unless_stopped;
+use super::files::JobFiles;
 use super::request::{JobInput, JobRequest, Part, Plan};
 use super::sources::{Files, SessionEpochs, Source};
 use super::state::Running;
@@ -35,6 +37,8 @@ pub(super) struct Run {
     pub(super) request: JobRequest,
     pub(super) plan: Plan,
     pub(super) files: Arc<JobFiles>,
+    /// The inputs by their hashes, once they are opened.
+    pub(super) inputs: HashMap<String, Arc<File>>,
     /// What is stored of sessions, and what they were answered with; `None` if the job has no
     /// session.
     pub(super) stored: Option<(Store, AidingDesk)>,
@@ -76,11 +80,24 @@ impl Run {
     ///
     /// # Errors
     /// The job fails, or the run is stopped.
-    pub(super) fn compute(&self, runtime: &Handle) -> Result<Done, Ended> {
-        let mut space = Space { run: self, bytes: 0, is_done: false };
+    pub(super) fn compute(mut self, runtime: &Handle) -> Result<Done, Ended> {
+        self.inputs = self.opened(runtime)?;
+        let mut space = Space { run: &self, bytes: 0, is_done: false };
         let done = self.solve(runtime, &mut space);
         space.is_done = done.is_ok();
         done
+    }
+
+    /// Opens all inputs, by their hashes.
+    fn opened(&self, runtime: &Handle) -> Result<HashMap<String, Arc<File>>, Ended> {
+        let mut opened = HashMap::new();
+        for input in &self.request.inputs {
+            let opening = self.files.open_input(&input.hash, input.bytes);
+            let done = runtime.block_on(unless_stopped(&self.running, opening));
+            let file = done.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?;
+            opened.insert(input.hash.clone(), Arc::new(file));
+        }
+        Ok(opened)
     }
 
     fn solve(&self, runtime: &Handle, space: &mut Space<'_>) -> Result<Done, Ended> {
@@ -130,7 +147,7 @@ impl Run {
             let (epochs, answered, read_bytes) = (tally.epochs, tally.answered, source.passed());
             self.running.set_progress(JobProgress { epochs, answered, read_bytes });
         }
-        let bytes = self.stored(writer).map_err(|error| unwritable(&error))?;
+        let bytes = self.stored(runtime, writer)?;
         space.grow_to(bytes)?;
         self.check(began)?;
         let (hash, seconds) =
@@ -172,7 +189,8 @@ impl Run {
     fn writer(&self, leap: LeapSeconds) -> Result<ResultWriter, Failure> {
         let comments = comments_of(&self.plan.options);
         let presentation = self.plan.options.output.presentation(self.geoid.as_ref());
-        File::create_new(self.files.result(&self.result))
+        self.files
+            .begin_result(&self.result)
             .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
             .and_then(|file| {
                 SolutionWriter::new(file, self.plan.format, &comments, leap, presentation)
@@ -180,12 +198,14 @@ impl Run {
             .map_err(|error| unwritable(&error))
     }
 
-    /// Completes the result. It is on the disk when this returns its size (bytes).
-    fn stored(&self, writer: ResultWriter) -> io::Result<u64> {
-        let (file, bytes) = writer.finish()?;
-        file.into_inner().map_err(io::IntoInnerError::into_error)?.sync_all()?;
-        let path = self.files.result(&self.result);
-        sync(path.parent().expect("a result is in the folder of results"))?;
+    /// Completes the result. It is durable when this returns its size (bytes).
+    fn stored(&self, runtime: &Handle, writer: ResultWriter) -> Result<u64, Ended> {
+        let (file, bytes) = writer.finish().map_err(|error| unwritable(&error))?;
+        let file = file.into_inner().map_err(io::IntoInnerError::into_error);
+        let file = file.map_err(|error| unwritable(&error))?;
+        let storing = self.files.finish_result(&self.result, (file, bytes));
+        let stored = runtime.block_on(unless_stopped(&self.running, storing));
+        stored.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?;
         Ok(bytes)
     }
 
@@ -221,10 +241,11 @@ impl Run {
 
     /// An input file by its name in the upload.
     fn input(&self, watched: &Watched, file: &JobInput, name: &str) -> Input {
-        let (path, limit, part) = (self.files.input(&file.hash), self.unpacked_bytes, file.part);
+        let opened = self.inputs.get(&file.hash).expect("all inputs were opened").clone();
+        let (limit, part) = (self.unpacked_bytes, file.part);
         let (watched, named) = (watched.clone(), name.to_owned());
         let open = move || {
-            let reader = watched.open(&path, limit, part, named.clone())?;
+            let reader = watched.open(opened.clone(), limit, part, named.clone())?;
             Ok(Box::new(reader) as Box<dyn BufRead>)
         };
         Input::unpacked(name.to_owned(), open)
@@ -267,7 +288,7 @@ struct Space<'a> {
 
 impl Space<'_> {
     fn grow_to(&mut self, bytes: u64) -> Result<(), Failure> {
-        let reserved = self.run.files.reserve(bytes - self.bytes);
+        let reserved = self.run.files.reserve_for_result(bytes - self.bytes);
         reserved.map_err(|error| Failure::new(error.code(), error.to_string(), None))?;
         self.bytes = bytes;
         Ok(())
@@ -276,8 +297,6 @@ impl Space<'_> {
 
 impl Drop for Space<'_> {
     fn drop(&mut self) {
-        if !self.is_done {
-            self.run.files.remove_result(&self.run.result, self.bytes);
-        }
+        self.run.files.end_result(&self.run.result, self.bytes, self.is_done);
     }
 }

@@ -1,8 +1,9 @@
-//! Whether all nodes of a cluster have the same folder of jobs.
+//! Whether all nodes of a cluster have the same folder of jobs, or the same bucket.
 //!
 //! A node writes a file named after its fence before it notes in the store that it has a folder.
 //! A node that begins looks for the files of the others in its own folder: a folder of the same
-//! name on another disk, and a copy of a folder, lack them.
+//! name on another disk, and a copy of a folder, lack them. In a bucket there are objects in place
+//! of these files.
 
 use std::fs;
 use std::io;
@@ -13,6 +14,7 @@ use tokio::task::spawn_blocking;
 use crate::store::Store;
 
 use super::JobError;
+use super::bucket::Bucket;
 use super::files::{JobFiles, sync};
 
 /// What the name of a node's file begins with.
@@ -21,34 +23,98 @@ const PREFIX: &str = "node.";
 /// Notes that this node has this folder, if all other nodes that take jobs have it, too.
 ///
 /// # Errors
-/// Another node has another folder, or the store or the disk fails.
+/// Another node has another folder, or the store, the disk or the bucket fails.
 pub(super) async fn join(store: &Store, files: &JobFiles) -> Result<(), JobError> {
     let Some(own) = store.fence() else { return Ok(()) };
-    let folder = files.folder().to_owned();
-    write(&folder, own).map_err(JobError::disk("writing to the folder of jobs"))?;
+    let place = Place::of(files);
+    place.write(own).await?;
     let others = store.note_job_folder(Some(files.id())).await?;
     for other in others {
-        let file = mark(&folder, other.fence);
-        let looked = spawn_blocking(move || file.try_exists()).await;
-        let looked = looked.unwrap_or_else(|error| Err(io::Error::other(error)));
-        if !looked.map_err(JobError::disk("reading the folder of jobs"))? {
+        if !place.has(other.fence).await? {
             store.note_job_folder(None).await?;
-            let (folder, node) = (folder.display().to_string(), other.name);
+            let (folder, node) = (place.name(), other.name);
             return Err(JobError::FolderNotShared { folder, node });
         }
     }
-    let found = marks(&folder).map_err(JobError::disk("reading the folder of jobs"))?;
+    let found = place.fences().await?;
     // After the files: a file is written by a node that is alive already.
     let (alive, _) = store.nodes().await?;
     for fence in found.into_iter().filter(|fence| !alive.iter().any(|node| node.fence == *fence)) {
-        // Err: another node was first.
-        fs::remove_file(mark(&folder, fence)).ok();
+        place.remove(fence).await;
     }
     Ok(())
 }
 
+/// Where the files of the nodes are.
+enum Place<'a> {
+    Folder(&'a Path),
+    Bucket(&'a Bucket),
+}
+
+impl<'a> Place<'a> {
+    fn of(files: &'a JobFiles) -> Self {
+        files.bucket().map_or(Self::Folder(files.folder()), |bucket| Self::Bucket(bucket))
+    }
+
+    /// Its name in messages.
+    fn name(&self) -> String {
+        match self {
+            Self::Folder(folder) => folder.display().to_string(),
+            Self::Bucket(bucket) => bucket.name(),
+        }
+    }
+
+    async fn write(&self, own: i64) -> Result<(), JobError> {
+        match self {
+            Self::Folder(folder) => {
+                write(folder, own).map_err(JobError::disk("writing to the folder of jobs"))
+            }
+            Self::Bucket(bucket) => Ok(bucket.put_text(&name_of(own), "").await?),
+        }
+    }
+
+    async fn has(&self, fence: i64) -> Result<bool, JobError> {
+        match self {
+            Self::Folder(folder) => {
+                let file = mark(folder, fence);
+                let looked = spawn_blocking(move || file.try_exists()).await;
+                let looked = looked.unwrap_or_else(|error| Err(io::Error::other(error)));
+                looked.map_err(JobError::disk("reading the folder of jobs"))
+            }
+            Self::Bucket(bucket) => Ok(bucket.size(&name_of(fence)).await?.is_some()),
+        }
+    }
+
+    /// The fences of the nodes whose files are there.
+    async fn fences(&self) -> Result<Vec<i64>, JobError> {
+        match self {
+            Self::Folder(folder) => {
+                marks(folder).map_err(JobError::disk("reading the folder of jobs"))
+            }
+            // What is beyond the first page is removed by a later node.
+            Self::Bucket(bucket) => {
+                let (page, _) = bucket.page(PREFIX, None).await?;
+                Ok(page.iter().filter_map(|object| fence_of(&object.name)).collect())
+            }
+        }
+    }
+
+    async fn remove(&self, fence: i64) {
+        match self {
+            // Err: another node was first.
+            Self::Folder(folder) => drop(fs::remove_file(mark(folder, fence))),
+            // Err: a later node removes it.
+            Self::Bucket(bucket) => drop(bucket.delete(&name_of(fence)).await),
+        }
+    }
+}
+
+fn name_of(fence: i64) -> String {
+    format!("{PREFIX}{fence}")
+}
+
 fn mark(folder: &Path, fence: i64) -> PathBuf {
-    folder.join(format!("{PREFIX}{fence}"))
+    folder.join(name_of(fence))
 }
 
 fn write(folder: &Path, fence: i64) -> io::Result<()> {

@@ -150,7 +150,12 @@ impl Jobs {
     /// # Errors
     /// Bytes are missing, the tenant has no such upload, or the store fails.
     pub async fn uploaded(&self, id: &UploadId) -> Result<(String, StoredFile), JobError> {
-        let UploadInfo { name, length, offset, hash, .. } = self.upload_info(id).await?;
+        let mut upload = self.upload_info(id).await?;
+        if upload.hash.is_none() && upload.offset == upload.length {
+            // Its last bytes came, and it could not be stored then.
+            upload = self.append_upload(id, upload.length).await?.finish().await?;
+        }
+        let UploadInfo { name, length, offset, hash, .. } = upload;
         let incomplete = || JobError::UploadIncomplete { id: id.to_string(), offset, length };
         let hash = hash.ok_or_else(incomplete)?;
         Ok((name, self.desk.files()?.hold(hash, length)))

@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
-use std::path::PathBuf;
+use std::os::unix::fs::FileExt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
@@ -30,18 +30,17 @@ impl Watched {
     /// Opens an input within the limits of unpacking.
     pub(super) fn open(
         &self,
-        path: &PathBuf,
+        file: Arc<File>,
         limit: u64,
         part: Part,
         name: String,
     ) -> io::Result<impl BufRead + use<>> {
-        let file = File::open(path)?;
         let length = file.metadata()?.len();
         let read = Arc::<AtomicU64>::default();
         if part == Part::Rover {
             self.readers().push(read.clone());
         }
-        let file = BufReader::with_capacity(READ_BUFFER_BYTES, Counted { file, read });
+        let file = BufReader::with_capacity(READ_BUFFER_BYTES, Counted { file, at: 0, read });
         let input = unpack_reader_within(file, length, limit)?;
         Ok(Noting { input, reports: self.0.clone(), name })
     }
@@ -67,15 +66,17 @@ impl Watched {
     }
 }
 
-/// A file that counts what is read.
+/// A file, from its first byte on, that counts what is read. Others may read it, too.
 struct Counted {
-    file: File,
+    file: Arc<File>,
+    at: u64,
     read: Arc<AtomicU64>,
 }
 
 impl Read for Counted {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.file.read(buffer)?;
+        let count = self.file.read_at(buffer, self.at)?;
+        self.at += count as u64;
         self.read.fetch_add(count as u64, Ordering::AcqRel);
         Ok(count)
     }

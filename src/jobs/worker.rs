@@ -1,7 +1,7 @@
 //! A worker: a process that runs the jobs of a service beside it, and nothing else.
 //!
-//! It needs the database, which several processes write to, and the service's folder of jobs. It
-//! creates, fetches, removes and reports no job.
+//! It needs the database, which several processes write to, and the service's folder of jobs or its
+//! bucket. It creates, fetches, removes and reports no job.
 
 use std::sync::Arc;
 
@@ -42,7 +42,8 @@ impl Worker {
         }
         let folder = limits.folder.clone().ok_or(JobError::Off)?;
         let id = store.job_folder().await?;
-        let files = Some(Arc::new(JobFiles::join(folder, limits.clone(), id.as_deref())?));
+        let files = JobFiles::join(folder, limits.clone(), id.as_deref()).await?;
+        let files = Some(Arc::new(files));
         let (stored, running) = ((store, Aiding::Worker(aiding)), limits.running);
         let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
         let (desk, mut tasks) = (Arc::new(desk), JoinSet::new());

@@ -122,6 +122,12 @@ async fn done(doors: &Doors, key: &Key, act: &str) -> String {
             ok(doors, key, "DELETE", &format!("{path}?purge=true"), Value::Null).await;
             id
         }
+        "Jobs.Delete" => {
+            let path = format!("/v1/jobs/{}", job(doors, key).await);
+            ok(doors, key, "DELETE", &path, Value::Null).await;
+            let purge = format!("{path}?purge=true");
+            text(&ok(doors, key, "DELETE", &purge, Value::Null).await["job"])
+        }
         "Operations.DeleteOperation" => {
             let id = job(doors, key).await;
             ok(doors, key, "DELETE", &format!("/v1/jobs/{id}"), Value::Null).await;
@@ -163,7 +169,7 @@ fn expected_change(act: &str) -> &'static str {
         "Navigation.Push" => "ephemerides, ",
         "Sessions.Update" => "label \"rover\" → \"boat\", retentionDays the service's → 3",
         "Sessions.Delete" => "label \"rover\"",
-        "Operations.DeleteOperation" => "state ",
+        "Jobs.Delete" | "Operations.DeleteOperation" => "state ",
         _ => "",
     }
 }
@@ -175,7 +181,7 @@ async fn each_act_leaves_an_entry(database: Database) {
     let opened = ["default", "loopback", "Keys.Create", &operator.id, "DONE"];
     assert_eq!(shorts(&first), [opened], "the key that ended the time without keys");
     let acts: Vec<&str> = CALLS.iter().filter_map(|call| call.act).collect();
-    assert_eq!(acts.len(), 11);
+    assert_eq!(acts.len(), 12);
     for act in acts {
         let object = done(&doors, &operator, act).await;
         let newest = entries(&doors, &operator, "").await.remove(0);

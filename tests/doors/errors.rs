@@ -133,6 +133,8 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::ServiceUnreachable, "src/cli/connection.rs"),
     (Code::ServiceRefused, "src/cli/connection.rs"),
     (Code::LoadIncomplete, "src/cli/load/report.rs"),
+    (Code::BucketUnavailable, "tests/faults/buckets.rs"),
+    (Code::BucketRefuses, "tests/faults/buckets.rs"),
 ];
 
 /// Codes that no test reaches, each with the reason.

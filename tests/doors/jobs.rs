@@ -42,7 +42,7 @@ async fn doors(change: impl FnOnce(&mut JobsConfiguration)) -> Doors {
 }
 
 /// Sends a body in chunks, as a network would.
-pub(super) async fn post(
+pub(crate) async fn post(
     doors: &Doors,
     content: Vec<u8>,
     headers: &[(&str, &str)],
@@ -57,19 +57,19 @@ pub(super) async fn post(
     doors.ask(request.body(Body::from_stream(chunks)).unwrap()).await
 }
 
-pub(super) async fn created(doors: &Doors, content: Vec<u8>) -> String {
+pub(crate) async fn created(doors: &Doors, content: Vec<u8>) -> String {
     let (status, job) = post(doors, content, &[]).await;
     assert_eq!(status, StatusCode::CREATED, "{job}");
     job["job"].as_str().unwrap().to_owned()
 }
 
 /// The job once it has ended.
-pub(super) async fn ended(doors: &Doors, job: &str) -> Value {
+pub(crate) async fn ended(doors: &Doors, job: &str) -> Value {
     let is_end = |job: &Value| !["QUEUED", "RUNNING"].contains(&job["state"].as_str().unwrap());
     doors.until(&format!("/v1/jobs/{job}"), is_end).await
 }
 
-pub(super) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
+pub(crate) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>) {
     let request = Request::get(path).body(Body::empty()).unwrap();
     let response = doors.router.clone().oneshot(request).await.unwrap();
     let status = response.status();
@@ -77,7 +77,7 @@ pub(super) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>)
 }
 
 /// All turns of batch jobs: no job computes until they are dropped.
-pub(super) async fn all_turns(doors: &Doors) -> Vec<BatchTurn> {
+pub(crate) async fn all_turns(doors: &Doors) -> Vec<BatchTurn> {
     let lane = doors.service.sessions().batch_lane();
     let threads = available_parallelism().map_or(1, NonZero::get);
     // One thread is left to others.

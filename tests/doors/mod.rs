@@ -20,7 +20,7 @@ mod interface;
 mod job_events;
 mod job_sessions;
 mod job_urls;
-mod jobs;
+pub(crate) mod jobs;
 mod keys;
 mod lifecycle;
 mod load;

@@ -21,7 +21,7 @@ use tonic::{Code, Status};
 
 use super::jobs::{all_turns, created, ended};
 use crate::support::database::{Database, on_both_databases, sqlite_url};
-use crate::support::doors::Doors;
+use crate::support::doors::{Doors, code};
 use crate::support::jobs::{HOUR, MINUTE, body};
 use crate::support::python;
 use crate::support::server::{Server, free_port, opened};
@@ -170,6 +170,54 @@ async fn lists_come_in_pages_and_by_state() {
     ] {
         let refused = client.list_operations(wrong.clone()).await.unwrap_err();
         assert_eq!(refusal(&refused), (Code::InvalidArgument, code.to_owned()), "{wrong:?}");
+    }
+}
+
+/// Deletes a job by each of the calls; the refusal has its code.
+async fn deleted_by(doors: &Doors, call: usize, job: &str) -> Result<(), String> {
+    let job = job.to_owned();
+    match call {
+        0 => {
+            let mut client = OperationsClient::new(doors.router.clone());
+            deleted(&mut client, &job).await.map_err(|status| refusal(&status).1)
+        }
+        1 => {
+            let mut client = JobsClient::new(doors.router.clone());
+            let was = client.delete(v1::DeleteJobRequest { job: job.clone() }).await;
+            let was = was.map_err(|status| refusal(&status).1)?.into_inner();
+            assert_eq!((was.job, &*was.state), (job, "SUCCEEDED"));
+            Ok(())
+        }
+        _ => {
+            let path = format!("/v1/jobs/{job}?purge=true");
+            let (status, was) = doors.send("DELETE", &path, Value::Null).await;
+            match status.is_success() {
+                true => {
+                    assert_eq!((&was["job"], &was["state"]), (&json!(job), &json!("SUCCEEDED")))
+                }
+                false => return Err(code(&was).to_owned()),
+            }
+            Ok(())
+        }
+    }
+}
+
+/// Each call that deletes a job refuses one that runs, and one that is gone.
+#[tokio::test]
+async fn every_call_deletes_what_has_ended_only() {
+    let doors = Doors::with_jobs(JobsConfiguration::standard()).await;
+    for call in 0..3 {
+        let turns = all_turns(&doors).await;
+        let name = created(&doors, good()).await;
+        assert_eq!(deleted_by(&doors, call, &name).await, Err("JOB_NOT_ENDED".to_owned()));
+        drop(turns);
+        assert_eq!(ended(&doors, &name).await["state"], "SUCCEEDED");
+        let results =
+            || std::fs::read_dir(doors.folder().join("test.db.jobs/results")).unwrap().count();
+        assert_eq!(results(), 1);
+        assert_eq!(deleted_by(&doors, call, &name).await, Ok(()));
+        assert_eq!(results(), 0);
+        assert_eq!(deleted_by(&doors, call, &name).await, Err("JOB_NOT_FOUND".to_owned()));
     }
 }
 

@@ -1,5 +1,7 @@
 //! Faults: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
 
+#[cfg(feature = "s3")]
+mod buckets;
 mod casters;
 mod cluster;
 mod crash;

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::support::database::{Database, on_postgres};
 use crate::support::drive::DRIVE;
-use crate::support::jobs::{HOUR, MINUTE};
+use crate::support::jobs::{HOUR, MINUTE, form};
 use crate::support::nodes::{Node, Setting, created, of_session, push_of, two};
 use crate::support::server::{ask, free_port, get_with, program};
 use crate::support::wait::until;
@@ -51,14 +51,8 @@ fn curl(node: &Node, path: &str, arguments: &[&str]) -> Option<Vec<u8>> {
 
 /// A new job of these files.
 fn create(node: &Node, files: &[PathBuf; 3], options: &Value) -> String {
-    let [rover, navigation, base] = files.each_ref().map(|path| path.display());
-    let parts = [
-        format!("rover=@{rover}"),
-        format!("navigation=@{navigation}"),
-        format!("base=@{base}"),
-        format!("options={options}"),
-    ];
-    let arguments: Vec<&str> = parts.iter().flat_map(|part| ["-F", part]).collect();
+    let form = form(files, &options.to_string());
+    let arguments: Vec<&str> = form.iter().map(String::as_str).collect();
     let sent = curl(node, "jobs", &arguments).expect("created");
     let job: Value = serde_json::from_slice(&sent).unwrap();
     job["job"].as_str().unwrap().to_owned()

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use serde_json::Value;
 
 use crate::support::database::{Database, on_postgres};
-use crate::support::jobs::{HOUR, MINUTE};
+use crate::support::jobs::{HOUR, MINUTE, form};
 use crate::support::server::{Server, free_port};
 use crate::support::wait::until;
 
@@ -98,16 +98,8 @@ impl World {
     }
 
     fn create(&self, tenant: usize, files: &[PathBuf; 3], options: &str) -> String {
-        let [rover, navigation, base] = files.each_ref().map(|path| path.display());
-        let parts = [
-            format!("rover=@{rover}"),
-            format!("navigation=@{navigation}"),
-            format!("base=@{base}"),
-            format!("options={options}"),
-        ];
-        let [rover, navigation, base, options] = parts.each_ref().map(String::as_str);
-        let sent =
-            self.curl(tenant, "", &["-F", rover, "-F", navigation, "-F", base, "-F", options]);
+        let form = form(files, options);
+        let sent = self.curl(tenant, "", &form.iter().map(String::as_str).collect::<Vec<_>>());
         let job: Value = serde_json::from_slice(&sent.expect("created")).unwrap();
         job["job"].as_str().unwrap().to_owned()
     }

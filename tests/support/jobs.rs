@@ -62,6 +62,18 @@ pub(crate) fn body(parts: &[(&str, &[u8])]) -> Vec<u8> {
     body
 }
 
+/// The arguments with which curl sends a job of these files and options.
+pub(crate) fn form(files: &[PathBuf; 3], options: &str) -> Vec<String> {
+    let [rover, navigation, base] = files.each_ref().map(|path| path.display());
+    let parts = [
+        format!("rover=@{rover}"),
+        format!("navigation=@{navigation}"),
+        format!("base=@{base}"),
+        format!("options={options}"),
+    ];
+    parts.into_iter().flat_map(|part| ["-F".to_owned(), part]).collect()
+}
+
 impl Files {
     /// A body with all files and these options.
     pub(crate) fn body(&self, options: &Value) -> Vec<u8> {

@@ -3,6 +3,8 @@
 pub(crate) mod antex;
 #[cfg(target_os = "linux")]
 pub(crate) mod balancer;
+#[cfg(feature = "s3")]
+pub(crate) mod buckets;
 pub(crate) mod casters;
 pub(crate) mod data;
 pub(crate) mod database;

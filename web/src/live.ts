@@ -157,3 +157,46 @@ export function useEvents<T>(
   const set = (value: T) => setState({ path, live: { value, at: Date.now() } });
   return { ...(state.path === path ? state.live : { at: 0 }), set };
 }
+
+/**
+ * Gives each event `name` of a stream to `take`, while the page is seen. The browser asks again
+ * after a break; after a refusal a later try does. The event `last` ends it.
+ */
+export function useMessages<T>(path: string, name: string, last: string, take: (message: T) => void): void {
+  const latest = useRef(take);
+  latest.current = take;
+  useEffect(() => {
+    let source: EventSource | undefined;
+    let [timer, isOver] = [0, false];
+    const close = () => {
+      source?.close();
+      source = undefined;
+      window.clearTimeout(timer);
+    };
+    const begin = () => {
+      if (document.hidden || isOver || source) return;
+      const opened = new EventSource(path);
+      source = opened;
+      opened.addEventListener(name, ({ data }) => latest.current(JSON.parse(data) as T));
+      opened.addEventListener(last, () => {
+        isOver = true;
+        close();
+      });
+      opened.addEventListener("error", () => {
+        if (source !== opened || opened.readyState !== EventSource.CLOSED) return;
+        close();
+        timer = window.setTimeout(begin, STREAM_AGAIN_MS);
+      });
+    };
+    const wake = () => {
+      close(); // A hidden page asks for nothing.
+      begin();
+    };
+    begin();
+    document.addEventListener("visibilitychange", wake);
+    return () => {
+      close();
+      document.removeEventListener("visibilitychange", wake);
+    };
+  }, [path]);
+}

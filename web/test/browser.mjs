@@ -12,6 +12,7 @@ import {
 } from "./harness.mjs";
 import { jobs } from "./jobs.mjs";
 import { keys } from "./keys.mjs";
+import { delays, tiles } from "./live.mjs";
 
 async function heads(address) {
   const answer = await fetch(`${address}/v1/sessions:heads`);
@@ -256,6 +257,8 @@ try {
   await signInIsAsked();
   await jobs();
   await keys();
+  await delays();
+  await tiles();
   assert.deepEqual(complaints, [], "errors of the console, or requests to other hosts");
   console.log(`the dashboard works; screenshots are in ${folder}`);
 } catch (error) {

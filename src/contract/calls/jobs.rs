@@ -5,8 +5,6 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
-use tokio::fs::File;
-use tokio::io::AsyncReadExt;
 use tokio::time::timeout;
 
 use crate::contract::{Caller, Lease, Refusal, in_background, texts, v1};
@@ -14,8 +12,8 @@ use crate::formats::rinex::write_navigation;
 use crate::formats::track::TrackFormat;
 use crate::gnss::{Ephemeris, Navigation};
 use crate::jobs::{
-    ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, Part, Report, Submission,
-    Upload, UploadedFile,
+    ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, Part, RESULT_CHUNK_BYTES,
+    Report, ResultContent, Submission, Upload, UploadedFile,
 };
 use crate::refusal::Code;
 use crate::store::{JobState, WebhookState};
@@ -30,10 +28,10 @@ const PAGE: usize = 100;
 const OWN_NAVIGATION: &str = "the service's own ephemerides";
 /// Most bytes of an ephemeris in RINEX 3.
 const EPHEMERIS_BYTES: usize = 8 * 81;
-/// Bytes of a result that are read at a time.
-const CHUNK_BYTES: usize = 64 << 10;
 /// Memory of the options and names of an upload (bytes).
 const OPTIONS_BYTES: usize = 64 << 10;
+/// Name of the call that deletes a job.
+const DELETE: &str = "Jobs.Delete";
 /// Longest idempotency key.
 const KEY_MAX: usize = 200;
 
@@ -328,6 +326,18 @@ pub async fn cancel(caller: &Caller, request: v1::CancelJobRequest) -> Result<v1
     Ok(message(caller, &job))
 }
 
+/// Deletes a job that has ended, with its result. Returns it as it was.
+///
+/// # Errors
+/// The job does not exist, or has not ended.
+pub async fn delete(caller: &Caller, request: v1::DeleteJobRequest) -> Result<v1::Job, Refusal> {
+    let deleted = async {
+        let (id, author) = (job_id(&request.job)?, caller.author());
+        Ok(message(caller, &caller.jobs().delete(&id, (DELETE, &author)).await?))
+    };
+    caller.noted(DELETE, &request.job, deleted.await).await
+}
+
 /// The report of a job.
 ///
 /// # Errors
@@ -346,7 +356,7 @@ pub struct ResultFile {
     pub content_type: &'static str,
     /// Its size (bytes).
     pub bytes: u64,
-    file: File,
+    content: ResultContent,
 }
 
 /// Opens the result of a job.
@@ -354,30 +364,26 @@ pub struct ResultFile {
 /// # Errors
 /// The job does not exist, has not ended, or has no result.
 pub async fn result(caller: &Caller, request: v1::GetJobRequest) -> Result<ResultFile, Refusal> {
-    let (job, file) = caller.jobs().result(&job_id(&request.job)?).await?;
-    Lease::current().map_or(Ok(()), |lease| lease.reserve(2 * CHUNK_BYTES))?;
+    let (job, content) = caller.jobs().result(&job_id(&request.job)?).await?;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(2 * RESULT_CHUNK_BYTES))?;
     let format = &*job.request.options.format;
     Ok(ResultFile {
         name: format!("{}.{format}", job.id),
         content_type: TrackFormat::from_name(format).map_or("", TrackFormat::content_type),
         bytes: job.result.as_ref().map_or(0, |result| result.bytes),
-        file,
+        content,
     })
 }
 
 impl ResultFile {
     /// The bytes, read as fast as the stream is read.
     pub fn content(self) -> impl Stream<Item = Result<Bytes, Refusal>> + Send {
-        stream::unfold(Some(self.file), |file| async move {
-            let mut file = file?;
-            let mut chunk = Vec::with_capacity(CHUNK_BYTES);
-            match (&mut file).take(CHUNK_BYTES as u64).read_to_end(&mut chunk).await {
-                Ok(0) => None,
-                Ok(_) => Some((Ok(chunk.into()), Some(file))),
-                Err(error) => {
-                    let message = format!("reading the result: {error}");
-                    Some((Err(Refusal::new(Code::JobFilesFailed, message)), None))
-                }
+        stream::unfold(Some(self.content), |content| async move {
+            let mut content = content?;
+            match content.chunk().await {
+                Ok(None) => None,
+                Ok(Some(chunk)) => Some((Ok(chunk), Some(content))),
+                Err(error) => Some((Err(error.into()), None)),
             }
         })
     }

@@ -18,6 +18,8 @@ use super::jobs::{job_id, message, page, report_message};
 const WAIT_MAX: Duration = Duration::from_secs(60);
 /// Memory of a call that waits (bytes).
 const WAIT_BYTES: usize = 16 << 10;
+/// Name of the call that deletes a job.
+const DELETE: &str = "Operations.DeleteOperation";
 /// What a filter compares.
 const STATE: &str = "metadata.state";
 
@@ -99,10 +101,10 @@ pub async fn cancel(caller: &Caller, name: &str) -> Result<(), Refusal> {
 /// The job does not exist, or has not ended.
 pub async fn delete(caller: &Caller, name: &str) -> Result<(), Refusal> {
     let deleted = async {
-        caller.jobs().delete(&named(name)?, &caller.author()).await?;
+        caller.jobs().delete(&named(name)?, (DELETE, &caller.author())).await?;
         Ok(())
     };
-    caller.noted("Operations.DeleteOperation", name, deleted.await).await
+    caller.noted(DELETE, name, deleted.await).await
 }
 
 /// The job when it has ended, or as it is after `timeout`, or before if the service stops.

@@ -32,6 +32,13 @@ macro_rules! jobs {
     /// A file of a job cannot be read or written.
     JobFilesFailed = "JOB_FILES_FAILED", Unavailable,
         "send the same request again; the operator finds the cause in the log";
+    /// The server of the bucket with the files of jobs is away.
+    BucketUnavailable = "BUCKET_UNAVAILABLE", Unavailable,
+        "send the same request later; the operator checks that jobs.s3.endpoint answers";
+    /// The server of the bucket refuses the service.
+    BucketRefuses = "BUCKET_REFUSES", Unavailable,
+        "let the operator check the credentials, bucket and region of jobs.s3, and that the key \
+         may get, put, list and delete objects; the log has the server's answer";
     /// The upload does not exist, or has expired.
     UploadNotFound = "UPLOAD_NOT_FOUND", NotFound, "begin another upload, or check the id";
     /// Another request appends to the upload.

@@ -346,6 +346,9 @@ fn jobs(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         }
         "Jobs/Watch" => both!(call, v1::GetJobRequest, format!("{path}/events"), named, none),
         "Jobs/Cancel" => both!(call, v1::CancelJobRequest, path, named, none),
+        "Jobs/Delete" => {
+            both!(call, v1::DeleteJobRequest, format!("{path}?purge=true"), named, none)
+        }
         "Jobs/Report" => both!(call, v1::GetJobRequest, format!("{path}/report"), named, none),
         "Jobs/Deliveries" => {
             both!(call, v1::GetJobRequest, format!("{path}/deliveries"), named, none)

@@ -1,5 +1,6 @@
-/** What lies below a map's layers: coast lines, a graticule or a grid in metres, and a scale. */
+/** What lies below a map's layers: tiles or coast lines, a graticule or a grid in metres, and a scale. */
 import { isDark } from "../status";
+import { drawTiles } from "./tiles";
 import { type LonLat, type View, lonLat, mercator } from "./view";
 
 declare const LAND_PATH: string;
@@ -71,6 +72,10 @@ export function drawBackground(
   }
   g.lineWidth = 1;
   g.font = "11px ui-sans-serif, system-ui, sans-serif";
+  if (drawTiles(g, view, redraw)) {
+    drawScale(g, view, colours);
+    return;
+  }
   if (anchor && view.metresPerPixel < 200) drawGrid(g, view, anchor, colours);
   else drawGraticule(g, view, colours);
   drawScale(g, view, colours);

@@ -1,6 +1,7 @@
 /** A map as a component: canvas, buttons, and the layers that its page gives. */
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef } from "preact/hooks";
+import { ATTRIBUTION } from "./tiles";
 import { type Layer, type LonLat, MapCanvas, type MapOptions } from "./view";
 
 interface MapProps extends MapOptions {
@@ -48,6 +49,7 @@ export function Map2d(props: MapProps) {
         <button type="button" aria-label="Zoom out" title="Zoom out (−)" onClick={() => map.current?.zoom(1 / 1.8)}>−</button>
         <button type="button" aria-label="Show all" title="Show all (0)" onClick={() => map.current?.fit()}>⤢</button>
       </div>
+      {ATTRIBUTION && <p class="map-attribution">{ATTRIBUTION}</p>}
       {props.children}
     </div>
   );

@@ -4,6 +4,7 @@ import {
   type Base, type Explained, type GpsTime, type Interval, type Series, type Session, type Solution,
   bases, explain, gpsText, series, session,
 } from "../api";
+import { Delays } from "../delay";
 import { Plots } from "../plots";
 import { useLive } from "../live";
 import { BaseMarkers, BaselineLine, ChosenEpoch, Track, type TrackPoint } from "../map/layers";
@@ -87,6 +88,7 @@ export function SessionPage({ id }: { id: string }) {
           </div>
           {tracks.problem && <ProblemBox problem={tracks.problem} what="The time series cannot be loaded" />}
           <Plots series={tracks.value?.causal} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />
+          {!closed && <Delays id={id} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />}
           <Sky shown={shown} />
           <Details about={about.value} solution={newest(shown)} />
         </>

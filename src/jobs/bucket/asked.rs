@@ -1,0 +1,26 @@
+//! How a bucket is asked, and what it lists.
+
+use std::time::Duration;
+
+/// How long a request that fails for a passing reason is repeated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Patience {
+    /// Somebody waits for the answer.
+    Call,
+    /// A run would lose its work.
+    Run,
+}
+
+/// An object of a list.
+#[cfg_attr(not(feature = "s3"), expect(dead_code, reason = "there is no list"))]
+pub(crate) struct Listed {
+    /// Its name.
+    pub(crate) name: String,
+    /// Its size (bytes).
+    pub(crate) bytes: u64,
+    /// Time since it was last put, by the clocks of the server and of this machine.
+    pub(crate) age: Duration,
+}
+
+/// A page of a list, and the token of the next page.
+pub(crate) type ListedPage = (Vec<Listed>, Option<String>);

@@ -1,0 +1,76 @@
+/** How long the epochs of a session take to this page: from their time tag to their stored answer here. */
+import { useState } from "preact/hooks";
+import type { GpsTime, Interval, Range, Solution } from "./api";
+import { Chart } from "./chart";
+import { useMessages } from "./live";
+import { unixS } from "./time";
+
+/** Epochs that are shown. */
+const KEPT = 3600;
+/** Delays (s) beyond which the time tags are not of now: a recording, or a clock that is wrong. */
+const [LEAST_S, MOST_S] = [-30, 600];
+const VIOLET: [string, string] = ["#c3a6ff", "#6a3fb5"];
+
+interface Delay {
+  seq: number;
+  time: GpsTime;
+  seconds: number;
+}
+
+interface DelaysProps {
+  id: string;
+  selected: number | undefined;
+  onPick: (seq: number) => void;
+  onZoom: (from: GpsTime, to: GpsTime) => void;
+}
+
+const seconds = (s: number): string => (Math.abs(s) < 1 ? `${Math.round(s * 1000)} ms` : `${s.toFixed(1)} s`);
+
+function interval({ seq, time }: Delay, index: number): Interval {
+  const none = {
+    position: null, satellites: null, heightM: null, horizontalSigmaM: null, verticalSigmaM: null,
+    horizontalProtectionM: null, verticalProtectionM: null, ageS: null, ratio: null,
+  };
+  const status = "UNSPECIFIED" as const;
+  return { index, solutions: 1, seq, time, timeUtc: "", status, worstStatus: status, bestStatus: status, ...none };
+}
+
+/** The value that this part of the sorted delays does not exceed. */
+const quantile = (sorted: number[], part: number): number => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))];
+
+export function Delays({ id, selected, onPick, onZoom }: DelaysProps) {
+  const [delays, setDelays] = useState<Delay[]>([]);
+  useMessages<{ solutions: Solution[] }>(`/v1/sessions/${id}/solutions:watch?revisions=first`, "solutions", "closed", ({ solutions }) => {
+    const now = Date.now() / 1000;
+    const arrived = solutions.map(({ seq, time }) => ({ seq, time, seconds: now - unixS(time) }));
+    if (arrived.length) setDelays((before) => [...before, ...arrived].slice(-KEPT));
+  });
+  const latest = delays.at(-1);
+  const isOfNow = latest && LEAST_S < latest.seconds && latest.seconds < MOST_S;
+  const shown = delays.filter((delay) => LEAST_S < delay.seconds && delay.seconds < MOST_S);
+  const sorted = shown.map((delay) => delay.seconds).sort((a, b) => a - b);
+  const bySeq = new Map(shown.map((delay) => [delay.seq, delay.seconds]));
+  const range = ({ seq }: Interval): Range | null => {
+    const value = bySeq.get(seq);
+    return value === undefined ? null : { min: value, max: value, last: value };
+  };
+  return (
+    <section class="card delays" aria-label="Delay">
+      <div class="card-head">
+        <h2>Delay</h2>
+        <span class="small">
+          From an epoch's time tag until this page has its stored answer, while it is open and by this computer's clock.
+          {1 < sorted.length && ` Median ${seconds(quantile(sorted, 0.5))}, 95 % within ${seconds(quantile(sorted, 0.95))}.`}
+        </span>
+      </div>
+      {!latest && <p class="small">Waiting for the next epoch.</p>}
+      {latest && !isOfNow && <p class="small">The time tags of these epochs are not of now, so there is no delay to state.</p>}
+      {isOfNow && 1 < shown.length && (
+        <Chart
+          title="Delay" intervals={shown.map(interval)} intervalS={1} selected={selected} onPick={onPick} onZoom={onZoom}
+          least={0.2} format={seconds} lines={[{ name: "time tag to page", colour: VIOLET, value: range }]}
+        />
+      )}
+    </section>
+  );
+}
