@@ -13,43 +13,53 @@ const WHOLE: u32 = u64::BITS;
 /// Bits of the length of [`BitWriter::sized`].
 const LENGTH_BITS: u32 = 6;
 
+/// Bits that are appended at once at most, so that they fit beside those of an unfinished byte.
+const AT_ONCE: u32 = 32;
+
 /// Appends bits to an encoder, the highest first.
 pub(super) struct BitWriter<'a> {
     out: &'a mut Encoder,
-    held: u8,
-    free: u32,
+    /// The bits of a byte that is not full.
+    held: u64,
+    /// Number of them.
+    count: u32,
 }
 
 impl<'a> BitWriter<'a> {
     pub(super) fn new(out: &'a mut Encoder) -> Self {
-        Self { out, held: 0, free: 8 }
+        Self { out, held: 0, count: 0 }
     }
 
     /// Fills the last byte with zeros.
     pub(super) fn finish(self) {
-        if self.free < 8 {
-            self.out.u8(self.held);
+        if self.count != 0 {
+            self.out.u8((self.held << (8 - self.count)) as u8);
         }
     }
 
     pub(super) fn bit(&mut self, value: bool) {
-        self.bits(u64::from(value), 1);
+        self.few_bits(u64::from(value), 1);
     }
 
     /// The lowest `count` bits of a value.
     pub(super) fn bits(&mut self, value: u64, count: u32) {
-        let mut left = count;
-        while left != 0 {
-            let taken = left.min(self.free);
-            let part = (value >> (left - taken)) & ((1 << taken) - 1);
-            self.held |= (part << (self.free - taken)) as u8;
-            self.free -= taken;
-            left -= taken;
-            if self.free == 0 {
-                self.out.u8(self.held);
-                (self.held, self.free) = (0, 8);
-            }
+        if count <= AT_ONCE {
+            return self.few_bits(value, count);
         }
+        self.few_bits(value >> AT_ONCE, count - AT_ONCE);
+        self.few_bits(value, AT_ONCE);
+    }
+
+    /// The same of at most [`AT_ONCE`] bits.
+    #[inline]
+    fn few_bits(&mut self, value: u64, count: u32) {
+        self.held = self.held << count | value & ((1 << count) - 1);
+        self.count += count;
+        while 8 <= self.count {
+            self.count -= 8;
+            self.out.u8((self.held >> self.count) as u8);
+        }
+        self.held &= (1 << self.count) - 1;
     }
 
     /// A value with its number of bits, below 2⁶³.
@@ -63,9 +73,13 @@ impl<'a> BitWriter<'a> {
     pub(super) fn rice(&mut self, value: u64, k: u32) {
         let ones = value >> k;
         if ones < u64::from(ESCAPE) {
-            let ones = ones as u32;
-            self.bits((1 << (ones + 1)) - 2, ones + 1);
-            self.bits(value, k);
+            let (ones, rest) = (ones as u32, value & ((1 << k) - 1));
+            let unary = (1 << (ones + 1)) - 2;
+            if ones + 1 + k <= AT_ONCE {
+                return self.few_bits(unary << k | rest, ones + 1 + k);
+            }
+            self.few_bits(unary, ones + 1);
+            self.bits(rest, k);
         } else {
             self.bits((1 << ESCAPE) - 1, ESCAPE);
             self.bits(value, WHOLE);
@@ -79,10 +93,10 @@ const fn rice_bits(value: u64, k: u32) -> u64 {
     if ones < ESCAPE as u64 { ones + 1 + k as u64 } else { (ESCAPE + WHOLE) as u64 }
 }
 
-/// The parameter that writes these values in few bits. The values are sorted.
+/// The parameter that writes these values in few bits. The order of the values changes.
 pub(super) fn rice_parameter(values: &mut [u64]) -> u32 {
-    values.sort_unstable();
-    let median = values.get(values.len() / 2).copied().unwrap_or(0);
+    let middle = values.len() / 2;
+    let median = if values.is_empty() { 0 } else { *values.select_nth_unstable(middle).1 };
     let length = WHOLE - median.leading_zeros();
     let candidates = length.saturating_sub(3)..(length + 4).min(WHOLE);
     let bits = |k: &u32| values.iter().map(|value| rice_bits(*value, *k)).sum::<u64>();
@@ -168,6 +182,21 @@ mod tests {
         assert_eq!(out.finish(), [1, 0b1110_0100]);
         assert_eq!(rice_bits(13, 2), 6);
         assert_eq!(rice_parameter(&mut [5, 6, 4, 7, 5]), 2);
+    }
+
+    /// Bits across the limits of bytes, and more than are appended at once.
+    #[test]
+    fn bits_are_appended_the_highest_first() {
+        let mut out = Encoder::new(1, 0);
+        let mut bits = BitWriter::new(&mut out);
+        bits.bits(0xfff5, 3); // Its lowest bits, 101.
+        bits.bits(0x1234_5678_9abc_def0, 64);
+        bits.bits(0, 0);
+        bits.bits(0x1_ffff_ffff, 33);
+        bits.bit(false);
+        bits.finish();
+        let expected: u128 = (0b101 << 98) | (0x1234_5678_9abc_def0 << 34) | (0x1_ffff_ffff << 1);
+        assert_eq!(out.finish(), [&[1], &(expected << 27).to_be_bytes()[..13]].concat());
     }
 
     #[test]

@@ -9,6 +9,8 @@ use super::CodecError;
 
 /// Up to this number of thousandths, a value takes no more bytes than an `f64`.
 const THOUSANDTHS_MAX: u64 = 1 << 55;
+/// Below 2⁵¹ all halves are `f64`.
+const HALVES_MAX: f64 = (1_u64 << 51) as f64;
 const NS_PER_MS: i64 = 1_000_000;
 /// In place of a span in whole milliseconds.
 const NOT_WHOLE: i64 = 1;
@@ -25,8 +27,13 @@ pub(super) const fn unzigzag(value: u64) -> i64 {
 
 /// A value in thousandths, if it is a whole number of them.
 pub(super) fn thousandths(value: f64) -> Option<i64> {
-    // The cast saturates and turns NaN into zero; the comparison of bits excludes both.
-    let thousandths = (value * 1e3).round() as i64;
+    let scaled = value * 1e3;
+    // The cast saturates and turns NaN into zero; the comparison of bits excludes both. `round` is
+    // a call where the processor is not known to round; a half added is exact up to this limit.
+    let thousandths = match scaled.abs() < HALVES_MAX {
+        true => (scaled + 0.5_f64.copysign(scaled)) as i64,
+        false => scaled.round() as i64,
+    };
     let exact = (thousandths as f64 / 1e3).to_bits() == value.to_bits();
     (exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX).then_some(thousandths)
 }
@@ -409,7 +416,14 @@ mod tests {
         fn thousandths_keep_the_bits(bits: u64, decimal in -1e12_f64..1e12) {
             let whole = (decimal * 1e3).round() / 1e3;
             prop_assert!(thousandths(whole).is_some());
-            for value in [f64::from_bits(bits), whole, -0.0, f64::NAN] {
+            // Without the way around `round`.
+            let rounded = |value: f64| Some((value * 1e3).round() as i64).filter(|thousandths| {
+                let is_exact = (*thousandths as f64 / 1e3).to_bits() == value.to_bits();
+                is_exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX
+            });
+            let large = f64::from_bits(bits >> 12 | (0x427 + (bits & 1)) << 52); // 2⁴⁰ to 2⁴².
+            for value in [f64::from_bits(bits), whole, large, -large, -0.0, f64::NAN] {
+                prop_assert_eq!(thousandths(value), rounded(value));
                 if let Some(thousandths) = thousandths(value) {
                     prop_assert_eq!((thousandths as f64 / 1e3).to_bits(), value.to_bits());
                 }

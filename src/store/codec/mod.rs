@@ -18,6 +18,7 @@ mod observations;
 mod parts;
 #[cfg(test)]
 mod sample;
+mod signals;
 mod solution;
 
 pub(super) use antenna::{decode_calibration, encode_calibration};

@@ -1,278 +1,18 @@
-//! Observations as bits: each value as its difference from what is expected of it.
-//!
-//! Values are whole thousandths (mHz, mcycles, mm, mdB-Hz), or any other `f64` with all its bits.
-//! What is expected comes from the same signal in an earlier epoch, if there is one, otherwise from
-//! the satellite's previous signal:
-//!
-//! - Doppler: that of the earlier epoch, or in proportion to the frequencies.
-//! - Phase: the earlier one less the mean Doppler times the interval, or in proportion.
-//! - Pseudorange: the earlier one plus λ times the change of the phase, or the other signal's.
-//! - C/N0: the earlier one, or that of the other signal.
-//!
-//! Where Doppler or phase of the satellite's previous signal differed from what was expected, the
-//! same is expected here, in proportion to the frequencies. All is computed in integers.
+//! Observations as bits: each value as its difference from what is expected of it (`signals`).
 //!
 //! Number of observations; then in bits: a table of kinds (constellation, code, flags, and how each
 //! value is written), the parameters of the Rice codes, and the observations. With an earlier
 //! epoch, one bit says that the satellite and kind are those that follow in its order.
 
-use crate::gnss::{Constellation, Cycles, Observation, ObservationCode, SatelliteId};
+use crate::gnss::{Observation, ObservationCode, SatelliteId};
 
 use super::CodecError;
 use super::bits::{BitReader, BitWriter, rice_parameter};
-use super::bytes::{Decoder, Encoder, constellation_number, thousandths, unzigzag, zigzag};
-
-const LOSS_OF_LOCK: u8 = 1;
-const HALF_CYCLE: u8 = 2;
-
-/// Indices of the values, in the order in which they are written.
-const DOPPLER: usize = 0;
-const PHASE: usize = 1;
-const RANGE: usize = 2;
-const CN0: usize = 3;
-const VALUES: usize = 4;
-
-/// How a value is written.
-const ABSENT: u8 = 0;
-const WHOLE: u8 = 1;
-const BITS: u8 = 2;
-/// For C/N0: a whole number of quarters of a dB.
-const QUARTERS: u8 = 3;
-const QUARTER: i64 = 250;
-/// C/N0 of which nothing is known (mdB-Hz).
-const USUAL_CN0: i64 = 40_000;
-
-/// What an expected value comes from. Each has Rice codes of its own.
-const NOTHING: usize = 0;
-const OWN_PHASE: usize = 1;
-const NEIGHBOUR: usize = 2;
-const BEFORE: usize = 3;
-const ORIGINS: usize = 4;
-const CODES: usize = VALUES * ORIGINS;
-
-const CONSTELLATION_BITS: u32 = 3;
-const BAND_BITS: u32 = 4;
-const ATTRIBUTE_BITS: u32 = 5;
-const FLAG_BITS: u32 = 2;
-const TAG_BITS: u32 = 2;
-const NUMBER_BITS: u32 = 7;
-const PARAMETER_BITS: u32 = 6;
-
-const SPEED_OF_LIGHT: i128 = 299_792_458;
-const NS_PER_SECOND: i128 = 1_000_000_000;
-
-/// Nominal frequency of a band (10 kHz). A part of the encoding: it never changes. Its errors cost
-/// bits only.
-const fn frequency(constellation: Constellation, band_digit: u8) -> i128 {
-    match (constellation, band_digit) {
-        (Constellation::Glonass, 1) => 160_200,
-        (Constellation::Glonass, 2) => 124_600,
-        (Constellation::Glonass, 3) => 120_203,
-        (Constellation::BeiDou, 2) => 156_110,
-        (Constellation::BeiDou, 6) => 126_852,
-        (_, 2) => 122_760,
-        (_, 5) => 117_645,
-        (_, 6) => 127_875,
-        (_, 7) => 120_714,
-        (_, 8) => 119_180,
-        _ => 157_542,
-    }
-}
-
-/// What observations of one kind have in common.
-#[derive(Clone, Copy, PartialEq)]
-struct Kind {
-    constellation: Constellation,
-    code: ObservationCode,
-    flags: u8,
-    tags: [u8; VALUES],
-}
-
-/// An observation as it is written.
-#[derive(Clone, Copy)]
-struct Signal {
-    satellite: SatelliteId,
-    kind: Kind,
-    /// The values that are whole thousandths.
-    whole: [Option<i64>; VALUES],
-    values: [Option<f64>; VALUES],
-}
-
-/// The previous signal of the epoch.
-#[derive(Clone, Copy)]
-struct Neighbour {
-    satellite: SatelliteId,
-    frequency: i128,
-    whole: [Option<i64>; VALUES],
-    /// Doppler and phase less what an earlier epoch let expect.
-    innovations: [i128; 2],
-}
-
-/// What is known of a signal before its values are read.
-struct Known<'a> {
-    frequency: i128,
-    before: Option<&'a [Option<i64>; VALUES]>,
-    /// Time since the earlier epoch (ns).
-    interval_ns: i64,
-    neighbour: Option<Neighbour>,
-}
-
-impl Kind {
-    fn encode(&self, bits: &mut BitWriter<'_>) {
-        bits.bits(constellation_number(self.constellation).into(), CONSTELLATION_BITS);
-        bits.bits(self.code.band_digit().into(), BAND_BITS);
-        bits.bits((self.code.attribute() - b'A').into(), ATTRIBUTE_BITS);
-        bits.bits(self.flags.into(), FLAG_BITS);
-        self.tags.iter().for_each(|tag| bits.bits((*tag).into(), TAG_BITS));
-    }
-
-    fn decode(bits: &mut BitReader<'_, '_>) -> Result<Self, CodecError> {
-        let number = bits.bits(CONSTELLATION_BITS)? as u8;
-        let mut all = Constellation::ALL.into_iter();
-        let constellation = all.find(|c| constellation_number(*c) == number);
-        let (band, attribute) = (bits.bits(BAND_BITS)? as u8, bits.bits(ATTRIBUTE_BITS)? as u8);
-        let code = ObservationCode::new(b'0' + band, b'A' + attribute);
-        let flags = bits.bits(FLAG_BITS)? as u8;
-        let mut tags = [ABSENT; VALUES];
-        for tag in &mut tags {
-            *tag = bits.bits(TAG_BITS)? as u8;
-        }
-        match (constellation, code) {
-            (Some(constellation), Some(code)) if !tags[..CN0].contains(&QUARTERS) => {
-                Ok(Self { constellation, code, flags, tags })
-            }
-            _ => Err(bits.invalid("kind of observation")),
-        }
-    }
-}
-
-impl Signal {
-    fn of(observation: &Observation) -> Self {
-        let values = [
-            observation.doppler_hz,
-            observation.carrier_phase.map(|phase| phase.0),
-            observation.pseudorange_m,
-            observation.cn0_db_hz,
-        ];
-        let whole = values.map(|value| value.and_then(thousandths));
-        let tag = |index: usize| match (values[index], whole[index]) {
-            (None, _) => ABSENT,
-            (Some(_), Some(whole)) if index == CN0 && whole % QUARTER == 0 => QUARTERS,
-            (Some(_), Some(_)) => WHOLE,
-            (Some(_), None) => BITS,
-        };
-        let lost = if observation.loss_of_lock { LOSS_OF_LOCK } else { 0 };
-        let kind = Kind {
-            constellation: observation.satellite.constellation,
-            code: observation.code,
-            flags: lost | if observation.half_cycle { HALF_CYCLE } else { 0 },
-            tags: std::array::from_fn(tag),
-        };
-        Self { satellite: observation.satellite, kind, whole, values }
-    }
-
-    fn observation(&self) -> Observation {
-        Observation {
-            satellite: self.satellite,
-            code: self.kind.code,
-            loss_of_lock: self.kind.flags & LOSS_OF_LOCK != 0,
-            half_cycle: self.kind.flags & HALF_CYCLE != 0,
-            pseudorange_m: self.values[RANGE],
-            carrier_phase: self.values[PHASE].map(Cycles),
-            doppler_hz: self.values[DOPPLER],
-            cn0_db_hz: self.values[CN0],
-        }
-    }
-}
-
-impl Neighbour {
-    /// What the next signal sees of `signal`, of which `known` was known.
-    fn of(signal: &Signal, known: &Known<'_>) -> Self {
-        let innovation = |index: usize| match (signal.whole[index], known.expected(index, signal)) {
-            (Some(value), (BEFORE, expected)) => i128::from(value) - i128::from(expected),
-            _ => 0,
-        };
-        Self {
-            satellite: signal.satellite,
-            frequency: known.frequency,
-            whole: signal.whole,
-            innovations: [innovation(DOPPLER), innovation(PHASE)],
-        }
-    }
-}
-
-impl<'a> Known<'a> {
-    fn of(
-        (satellite, kind): (SatelliteId, &Kind),
-        before: Option<&'a Signal>,
-        interval_ns: i64,
-        previous: Option<Neighbour>,
-    ) -> Self {
-        Self {
-            frequency: frequency(kind.constellation, kind.code.band_digit()),
-            before: before.map(|before| &before.whole),
-            interval_ns,
-            neighbour: previous.filter(|previous| previous.satellite == satellite),
-        }
-    }
-
-    /// What is expected of a value, and what that comes from. The values before it are known.
-    fn expected(&self, index: usize, signal: &Signal) -> (usize, i64) {
-        let (origin, expected) = match index {
-            DOPPLER | PHASE => self.expected_rate_or_phase(index, signal),
-            RANGE => self.expected_range(signal),
-            _ => self.expected_cn0(),
-        };
-        let is_in_quarters = signal.kind.tags[index] == QUARTERS;
-        let expected = expected as i64;
-        (origin, if is_in_quarters { expected.div_euclid(QUARTER) * QUARTER } else { expected })
-    }
-
-    fn expected_rate_or_phase(&self, index: usize, signal: &Signal) -> (usize, i128) {
-        let neighbour = self.neighbour.as_ref();
-        let scaled = |value: i128, from: &Neighbour| value * self.frequency / from.frequency;
-        if let Some(before) = self.value_before(index) {
-            let motion = if index == PHASE { self.cycles_since(signal).unwrap_or(0) } else { 0 };
-            let innovation = neighbour.map_or(0, |from| scaled(from.innovations[index], from));
-            return (BEFORE, before + motion + innovation);
-        }
-        let value = neighbour.and_then(|from| Some(scaled(from.whole[index]?.into(), from)));
-        value.map_or((NOTHING, 0), |value| (NEIGHBOUR, value))
-    }
-
-    fn expected_range(&self, signal: &Signal) -> (usize, i128) {
-        let metres = |cycles: i128| cycles * SPEED_OF_LIGHT / (self.frequency * 10_000);
-        let phase = signal.whole[PHASE].map(i128::from);
-        if let Some(before) = self.value_before(RANGE) {
-            let by_phase = phase.zip(self.value_before(PHASE)).map(|(now, then)| now - then);
-            let change = by_phase.or_else(|| self.cycles_since(signal));
-            return (BEFORE, before + metres(change.unwrap_or(0)));
-        }
-        match (self.neighbour.and_then(|from| from.whole[RANGE]), phase) {
-            (Some(range), _) => (NEIGHBOUR, range.into()),
-            (None, Some(phase)) => (OWN_PHASE, metres(phase)),
-            (None, None) => (NOTHING, 0),
-        }
-    }
-
-    fn expected_cn0(&self) -> (usize, i128) {
-        match (self.value_before(CN0), self.neighbour.and_then(|from| from.whole[CN0])) {
-            (Some(before), _) => (BEFORE, before),
-            (None, Some(neighbour)) => (NEIGHBOUR, neighbour.into()),
-            (None, None) => (NOTHING, USUAL_CN0.into()),
-        }
-    }
-
-    fn value_before(&self, index: usize) -> Option<i128> {
-        self.before?[index].map(i128::from)
-    }
-
-    /// Change of the phase since the earlier epoch by the mean of both Dopplers (mcycles).
-    fn cycles_since(&self, signal: &Signal) -> Option<i128> {
-        let sum = self.value_before(DOPPLER)? + i128::from(signal.whole[DOPPLER]?);
-        Some(-sum * i128::from(self.interval_ns) / (2 * NS_PER_SECOND))
-    }
-}
+use super::bytes::{Decoder, Encoder, thousandths, unzigzag, zigzag};
+use super::signals::{
+    ABSENT, BITS, CODES, DOPPLER, Kind, Known, NUMBER_BITS, Neighbour, ORIGINS, PARAMETER_BITS,
+    PHASE, QUARTER, QUARTERS, Signal, VALUES,
+};
 
 /// The earlier epoch's signals, read in order.
 struct Earlier {
@@ -332,11 +72,20 @@ pub(super) fn encode_observations(
             (!earlier.expected().is_some_and(is_expected)).then(|| index_of(kind, &mut kinds));
         let before = earlier.find(satellite, kind.code).map(|index| &earlier.signals[index]);
         let known = Known::of((satellite, &kind), before, earlier.interval_ns, previous);
-        let differences = std::array::from_fn(|index| difference(index, &signal, &known));
+        let expected: [_; VALUES] = std::array::from_fn(|index| {
+            signal.whole[index].map(|_| known.expected(index, &signal))
+        });
+        let differences: [_; VALUES] = std::array::from_fn(|index| {
+            expected[index].and_then(|expected| difference(index, &signal, expected))
+        });
         for (code, difference) in differences.iter().flatten() {
-            codes[*code].push(*difference);
+            let values = &mut codes[*code];
+            if values.is_empty() {
+                values.reserve(observations.len());
+            }
+            values.push(*difference);
         }
-        previous = Some(Neighbour::of(&signal, &known));
+        previous = Some(Neighbour::with(&signal, &known, [expected[DOPPLER], expected[PHASE]]));
         written.push(Written { signal, kind: index, differences });
     }
     out.count(written.len());
@@ -377,9 +126,12 @@ const fn index_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }
 
-/// Code and difference of a value in thousandths.
-fn difference(index: usize, signal: &Signal, known: &Known<'_>) -> Option<(usize, u64)> {
-    let (origin, expected) = known.expected(index, signal);
+/// Code and difference of a value in thousandths from what is expected of it.
+fn difference(
+    index: usize,
+    signal: &Signal,
+    (origin, expected): (usize, i64),
+) -> Option<(usize, u64)> {
     let difference = signal.whole[index]?.wrapping_sub(expected);
     let is_in_quarters = signal.kind.tags[index] == QUARTERS;
     let difference = if is_in_quarters { difference / QUARTER } else { difference };
