@@ -4,11 +4,12 @@
 //! before a message is decoded. It ends with the request. A quarter of the budget is for small
 //! requests only, so that large ones cannot keep devices from pushing their epochs.
 
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, OnceLock};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock, OnceLock};
 
-use uuid::Uuid;
+use uuid::{Builder, Uuid};
 
+use crate::clock::unix_ms;
 use crate::config::IntakeLimits;
 use crate::formats;
 use crate::keys::Pass;
@@ -79,7 +80,7 @@ impl Budget {
             arrived: AtomicUsize::new(0),
             undecoded: AtomicUsize::new(0),
             message: AtomicUsize::new(0),
-            id: Uuid::now_v7(),
+            id: request_id(),
             pass,
             trace: OnceLock::new(),
             session: OnceLock::new(),
@@ -247,6 +248,20 @@ impl Drop for Leased {
     }
 }
 
+/// An id for a request: a UUID of version 7, whose random part is chosen once and then counted up
+/// (RFC 9562, section 6.2, method 2). A random part for each request would be a system call each.
+fn request_id() -> Uuid {
+    static BEGIN: LazyLock<([u8; 10], AtomicU64)> = LazyLock::new(|| {
+        let [random @ .., _, _, _, _, _, _] = Uuid::new_v4().into_bytes();
+        let (_, count) = Uuid::new_v4().as_u64_pair();
+        (random, AtomicU64::new(count))
+    });
+    let (mut random, count) = (BEGIN.0, BEGIN.1.fetch_add(1, Ordering::Relaxed));
+    let [_, _, lowest @ ..] = count.to_be_bytes();
+    random[4..].copy_from_slice(&lowest);
+    Builder::from_unix_timestamp_millis(unix_ms() as u64, &random).into_uuid()
+}
+
 /// Checks the ratio of unpacked to packed content.
 ///
 /// # Errors
@@ -309,6 +324,16 @@ mod tests {
         lease.note_decoded(395, 400);
         lease.settle(0).unwrap();
         assert_eq!(budget.used(), REQUEST_BYTES);
+    }
+
+    #[test]
+    fn ids_of_requests_differ_and_have_the_time() {
+        let ids: std::collections::HashSet<Uuid> = (0..10_000).map(|_| request_id()).collect();
+        assert_eq!(ids.len(), 10_000);
+        let id = request_id();
+        assert_eq!((id.get_version_num(), id.get_variant()), (7, uuid::Variant::RFC4122));
+        let (unix_s, _) = id.get_timestamp().unwrap().to_unix();
+        assert!(unix_s.abs_diff(unix_ms() as u64 / 1_000) <= 1);
     }
 
     #[test]

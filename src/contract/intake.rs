@@ -248,20 +248,31 @@ fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
 /// Groups observations by satellite, in the order of first appearance. Most receivers send them so
 /// already.
 fn bring_satellites_together(observations: &mut [Observation]) {
-    let mut first: HashMap<SatelliteId, usize> = HashMap::new();
-    let mut together = true;
-    for (index, pair) in observations.windows(2).enumerate() {
-        first.entry(pair[0].satellite).or_insert(index);
-        together &=
-            pair[0].satellite == pair[1].satellite || !first.contains_key(&pair[1].satellite);
-    }
-    if together {
+    if are_together(observations) {
         return;
     }
-    if let Some(last) = observations.last() {
-        first.entry(last.satellite).or_insert(observations.len());
+    let mut first: HashMap<SatelliteId, usize> = HashMap::new();
+    for (index, observation) in observations.iter().enumerate() {
+        first.entry(observation.satellite).or_insert(index);
     }
     observations.sort_by_key(|observation| first[&observation.satellite]);
+}
+
+/// Whether the observations of each satellite are consecutive. Satellites are few, so looking
+/// through them is quicker than a table.
+fn are_together(observations: &[Observation]) -> bool {
+    let mut satellites: Vec<SatelliteId> = Vec::with_capacity(64);
+    for observation in observations {
+        let satellite = observation.satellite;
+        if satellites.last() == Some(&satellite) {
+            continue;
+        }
+        if satellites.contains(&satellite) {
+            return false;
+        }
+        satellites.push(satellite);
+    }
+    true
 }
 
 fn check_satellites(epoch: &Epoch, limits: &IntakeLimits) -> Result<(), Refusal> {
