@@ -27,6 +27,8 @@ const PUSHES_PER_DAY: u64 = 4;
 const MS_PER_DAY: i64 = 86_400_000;
 /// 2026-01-01 12:00 UTC.
 const START: i64 = 1_767_268_800_000;
+/// A day before, in GPS time: week, and seconds of week. The epochs of a day end when they arrive.
+const FIRST: (i32, f64) = (2_399, 302_400.0);
 const CONCURRENT: usize = 16;
 /// Growth from the first full size on that counts as flat.
 const GROWTH_MAX: f64 = 1.1;
@@ -105,7 +107,8 @@ async fn live_a_day(sessions: &Sessions, id: &SessionId, day: u64) {
 
 /// Ten satellites with two signals each, a minute after the epoch before.
 fn epoch(seq: u64) -> Epoch {
-    let mut epoch = Epoch::new(GpsTime::from_week_seconds(2_400, 60.0 * seq as f64));
+    let (week, seconds) = FIRST;
+    let mut epoch = Epoch::new(GpsTime::from_week_seconds(week, seconds + 60.0 * seq as f64));
     for number in 1..=10 {
         let satellite = SatelliteId { constellation: Constellation::Gps, number };
         for code in ["1C", "2W"] {
