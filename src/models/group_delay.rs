@@ -52,15 +52,15 @@ pub fn group_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64
     delay_s.map(|s| s * SPEED_OF_LIGHT)
 }
 
-/// Standard deviation of [`unstated_group_delay_m`] (m). At two stations that received L1 C/A, L2
+/// Standard deviation of [`unstated_delay_m`] (m). At two stations that received L1 C/A, L2
 /// P(Y) and L5 (`klt-2021`, `meijo-static`), C5 − C1 − (γ₅ − 1)/(γ₂ − 1)·(C2 − C1) differed between
 /// five and six GPS satellites by 2.0 to 2.5 m (standard deviation).
 pub(crate) const UNSTATED_DELAY_M: f64 = 2.5;
 
 /// Approximate group delay τ (m) of a signal for which the message has no correction: γ·T_GD of L5
-/// for GPS and QZSS, as if its delay were in proportion to that of L2 P(Y). LNAV has no inter-signal
-/// correction of L5. `None` for all other signals.
-pub(crate) fn unstated_group_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64> {
+/// for GPS and QZSS, as if its delay were in proportion to that of L2 P(Y). LNAV has no correction
+/// of L5. `None` for all other signals.
+pub(crate) fn unstated_delay_m(ephemeris: &Ephemeris, code: ObservationCode) -> Option<f64> {
     match ephemeris {
         Ephemeris::Keplerian(KeplerianEphemeris {
             group_delays: GroupDelays::Gps { tgd_s, .. },
@@ -177,7 +177,7 @@ mod tests {
     fn an_unstated_delay_worked_by_hand() {
         let delay_m = |ephemeris: KeplerianEphemeris, code: &str| {
             let code = ObservationCode::parse(code).unwrap();
-            unstated_group_delay_m(&Ephemeris::Keplerian(ephemeris), code)
+            unstated_delay_m(&Ephemeris::Keplerian(ephemeris), code)
         };
         let l5_m = delay_m(sample::gps(), "5Q").unwrap();
         assert!((l5_m + 2.688_045).abs() < 1e-5, "{l5_m}");

@@ -29,7 +29,7 @@ mod selection;
 
 pub use geometry::{LookAngles, RangeRate, geometric_range, look_angles, range_rate};
 pub use group_delay::group_delay_m;
-pub(crate) use group_delay::{UNSTATED_DELAY_M, unstated_group_delay_m};
+pub(crate) use group_delay::{UNSTATED_DELAY_M, unstated_delay_m};
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
 pub use selection::select_ephemeris;
 pub(crate) use selection::{ephemerides_in_force, is_usable, select_ephemeris_within, validity_s};

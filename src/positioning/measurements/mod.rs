@@ -19,7 +19,7 @@ use crate::gnss::{
 };
 use crate::models::{
     LookAngles, SatelliteState, UNSTATED_DELAY_M, ephemerides_in_force, group_delay_m,
-    select_ephemeris_within, state_at_transmission, unstated_group_delay_m,
+    select_ephemeris_within, state_at_transmission, unstated_delay_m,
 };
 
 use atmosphere::Atmosphere;
@@ -330,7 +330,7 @@ fn group_delay(
     }
     let stated = group_delay_m(ephemeris, code).map(|delay_m| (delay_m, 0.0));
     stated.or_else(|| {
-        let delay_m = unstated_group_delay_m(ephemeris, code)?;
+        let delay_m = unstated_delay_m(ephemeris, code)?;
         Some((delay_m, UNSTATED_DELAY_M * UNSTATED_DELAY_M))
     })
 }
