@@ -12,7 +12,6 @@ pub(crate) enum Patience {
 }
 
 /// An object of a list.
-#[cfg_attr(not(feature = "s3"), expect(dead_code, reason = "there is no list"))]
 pub(crate) struct Listed {
     /// Its name.
     pub(crate) name: String,
