@@ -11,7 +11,7 @@ use crate::config::S3Configuration;
 
 use super::{BucketError, ListedPage, Patience};
 
-/// A bucket, of which there is none.
+/// Stands for a bucket in a build that cannot have one.
 pub(crate) struct Bucket(Infallible);
 
 impl Bucket {

@@ -118,7 +118,7 @@ impl Bucket {
         action.sign(SIGNED_FOR)
     }
 
-    /// A small object; `None` if there is none.
+    /// The text of a small object; `None` if no object has this name.
     ///
     /// # Errors
     /// The server is away or refuses, or the object is no short text.
@@ -160,7 +160,7 @@ impl Bucket {
         }
     }
 
-    /// The size of an object (bytes); `None` if there is none.
+    /// The size of an object (bytes); `None` if no object has this name.
     ///
     /// # Errors
     /// The server is away or refuses.
