@@ -6,7 +6,7 @@ usage: count_rinex.py FILE...   prints "FILE: E epochs, O observations" per file
 Whole file in memory, fields cut by slices, numbers by float(): nothing in common with the reader.
 Only for files without broken epochs. A signal counts once per satellite and epoch if any of its
 values is neither blank nor zero. RINEX 2 phases count with the pseudorange of their band that is
-there (C1 before P1, P2 before C2), as src/formats/rinex/columns.rs defines.
+there (C1 before P1, P2 before C2), as compute/src/formats/rinex/columns.rs defines.
 """
 import gzip
 import sys

@@ -1,27 +1,9 @@
 //! Graphfix positions GNSS receivers: raw observations in, stored solutions out.
 //!
-//! # The objective
-//!
-//! An estimator looks for the states x that explain best what was observed:
-//!
-//! x̂ = argmin over x of Σᵢ ρᵢ(rᵢ(x)),  rᵢ(x) = (hᵢ(x) − zᵢ)/σᵢ
-//!
-//! | symbol | what it is | module |
-//! |---|---|---|
-//! | zᵢ | an observation: pseudorange, carrier phase, Doppler, displacement | [`gnss`] |
-//! | hᵢ | its model: satellite, signal path, atmosphere, electronics | [`models`] |
-//! | σᵢ | its standard deviation, by elevation and C/N0 | `weights` in [`models`] |
-//! | rᵢ | the whitened residual with its Jacobian, a *factor* | `factors` in [`positioning`] |
-//! | ρᵢ | a robust kernel, which bounds the pull of a wrong observation | [`graph::kernel`] |
-//! | x | position, velocity, clock of each epoch; ambiguities, biases | [`graph::estimate`] |
-//! | argmin | Gauss–Newton on the normal equations | [`graph::optimizer`] |
-//! | | their solution by block elimination | [`graph::elimination`] |
-//! | | whole cycles for the ambiguities of x̂ | [`lambda`] |
-//!
-//! [`positioning::Estimator`] answers epoch by epoch, from that epoch and those before it;
-//! [`positioning::Batch`] solves a whole recording at once.
-//!
 //! # The map, in reading order
+//!
+//! What computes is the package `graphfix-compute`, whose modules are here under their names; its
+//! page begins with what an estimator looks for.
 //!
 //! | module | what it is |
 //! |---|---|
@@ -51,35 +33,15 @@
 //! | [`app`] | opens a service by its configuration |
 //! | [`cli`] | the command line |
 //!
-//! [`gnss`], [`models`], [`graph`], [`lambda`], [`snapshot`], [`positioning`], [`formats`] and
-//! [`reception`] only compute: no clock, no file, no network, and the same input gives the same
-//! bits. `ARCHITECTURE.md` has all invariants and which module may name which.
+//! `ARCHITECTURE.md` has the invariants and which module may name which.
 
-pub mod gnss;
-
-pub mod refusal;
+pub use graphfix_compute::{
+    config, evaluation, formats, gnss, graph, lambda, models, positioning, reception, recording,
+    refusal, simulation, snapshot,
+};
 
 pub mod id;
 pub mod tenant;
-
-pub mod config;
-
-pub mod models;
-
-pub mod graph;
-pub mod lambda;
-
-pub mod snapshot;
-
-pub mod positioning;
-
-pub mod formats;
-
-pub mod simulation;
-
-pub mod evaluation;
-
-pub mod reception;
 
 pub mod secrets;
 
@@ -100,8 +62,6 @@ pub mod aiding;
 pub mod feeds;
 
 pub mod cluster;
-
-pub mod recording;
 
 pub mod session;
 

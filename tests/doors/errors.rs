@@ -1,6 +1,7 @@
 //! Every refusal is in `docs/errors.md`, and the REST door answers with its code and status.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 
 use axum::body::Body;
 use axum::http::Request;
@@ -15,7 +16,7 @@ use crate::support::doors::{Doors, code, epoch};
 
 /// Codes that no request in this file causes, each with the test file that does.
 const REACHED_BY: &[(Code, &str)] = &[
-    (Code::FeatureNotBuilt, "src/config/option_table.rs"),
+    (Code::FeatureNotBuilt, "compute/src/config/option_table.rs"),
     (Code::TooCostly, "tests/faults/hostile.rs"),
     (Code::CompressedTooMuch, "tests/faults/hostile.rs"),
     (Code::BodyTooSlow, "tests/faults/hostile.rs"),
@@ -52,7 +53,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::WatchTooSlow, "tests/doors/watches.rs"),
     (Code::CursorInvalid, "tests/doors/watches.rs"),
     (Code::AcknowledgementUnknown, "tests/doors/streams.rs"),
-    (Code::RawStreamTooLong, "src/reception/stream/mod.rs"),
+    (Code::RawStreamTooLong, "compute/src/reception/stream/mod.rs"),
     (Code::GnssLoggerHeaderInvalid, "tests/doors/raw.rs"),
     (Code::GnssLoggerLineTooLong, "tests/doors/raw.rs"),
     (Code::DatabaseFailed, "tests/doors/store.rs"),
@@ -210,9 +211,12 @@ fn no_room_spells_a_code_again() {
         "tls",
         "positioning",
     ];
-    let mut files: Vec<_> = ROOMS.iter().map(|room| format!("src/{room}").into()).collect();
+    let folder = |room: &&str| {
+        let packages = ["compute/src", "src"].map(|sources| Path::new(sources).join(room));
+        packages.into_iter().find(|folder| folder.is_dir()).expect("it is in one of both")
+    };
+    let mut files: Vec<_> = ROOMS.iter().map(folder).collect();
     while let Some(path) = files.pop() {
-        let path: std::path::PathBuf = path;
         if path.is_dir() {
             let inside = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
             files.extend(inside);
@@ -576,7 +580,7 @@ async fn every_refusal_is_answered_by_code_status_and_field() {
     for (code, file) in REACHED_BY {
         let text = read(file);
         let tested =
-            &text[if file.starts_with("src") { text.find("mod tests").unwrap() } else { 0 }..];
+            &text[if file.starts_with("tests") { 0 } else { text.find("mod tests").unwrap() }..];
         let names_it = |name: String| tested.contains(&name);
         assert!(
             ["\"{}\"", "error[{}]"].iter().any(|form| names_it(form.replace("{}", code.name())))

@@ -69,7 +69,7 @@ fn run(guide: &str, script: &str) -> String {
 #[test]
 fn the_reasons_and_codes_of_the_guides_exist() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let vocabulary = std::fs::read_to_string(root.join("src/gnss/solution.rs")).unwrap();
+    let vocabulary = std::fs::read_to_string(root.join("compute/src/gnss/solution.rs")).unwrap();
     let codes = std::fs::read_to_string(root.join("docs/errors.md")).unwrap();
     for guide in std::fs::read_dir(root.join("docs/guides")).unwrap() {
         let text = std::fs::read_to_string(guide.unwrap().path()).unwrap();

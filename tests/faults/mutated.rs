@@ -138,7 +138,7 @@ async fn files_of_navigation_are_survived() {
 }
 
 /// CRINEX with two satellites.
-const COMPACT: &str = include_str!("../../src/formats/rinex/sample.crx");
+const COMPACT: &str = include_str!("../../compute/src/formats/rinex/sample.crx");
 
 #[tokio::test]
 async fn files_of_bases_are_survived() {

@@ -15,7 +15,8 @@ use std::path::Path;
 
 use modules::Modules;
 use source::{
-    Function, before_tests, code_of, code_only, functions, identifier, literals, root, rust_files,
+    Function, all_files, before_tests, code_of, code_only, folder, functions, identifier, inside,
+    literals, roots, rust_files,
 };
 
 /// Each module with the modules that it names, all of which are above it in this list. The list is
@@ -215,14 +216,17 @@ const MANY_PARAMETERS: &[(&str, &str, usize)] = &[
 
 #[test]
 fn every_folder_has_its_rule() {
-    let folders: BTreeSet<String> = fs::read_dir(root())
-        .expect("src exists")
-        .map(|entry| entry.expect("src can be listed").path())
-        .filter(|path| path.is_dir())
-        .map(|path| path.file_name().expect("has a name").to_string_lossy().into_owned())
-        .collect();
+    let mut folders = BTreeSet::new();
+    for root in roots() {
+        let entries = fs::read_dir(&root).expect("the sources exist");
+        let paths = entries.map(|entry| entry.expect("sources can be listed").path());
+        for path in paths.filter(|path| path.is_dir()) {
+            let name = path.file_name().expect("has a name").to_string_lossy().into_owned();
+            assert!(folders.insert(name), "{} is in both packages", path.display());
+        }
+    }
     let ruled: BTreeSet<String> = MAY_NAME.iter().map(|(module, _)| (*module).to_owned()).collect();
-    assert_eq!(folders, ruled, "folders of src and the table must be the same");
+    assert_eq!(folders, ruled, "folders of the sources and the table must be the same");
 }
 
 #[test]
@@ -238,10 +242,10 @@ fn the_table_has_no_cycle() {
 
 #[test]
 fn modules_name_what_the_table_says() {
-    let modules = Modules::read(&root());
+    let modules = Modules::read();
     for (module, allowed) in MAY_NAME {
-        let files = rust_files(&root().join(module));
-        assert!(!files.is_empty(), "src/{module} has no files: has it moved?");
+        let files = rust_files(&folder(module));
+        assert!(!files.is_empty(), "{module} has no files: has it moved?");
         for file in files {
             let code = code_of(&file);
             for named in code.split("crate::").skip(1) {
@@ -264,7 +268,7 @@ fn modules_name_what_the_table_says() {
 /// Calls reach the desks by a `Caller`, which has a tenant, and not by the `Service`.
 #[test]
 fn calls_have_a_caller() {
-    let files = rust_files(&root().join("contract/calls"));
+    let files = rust_files(&folder("contract").join("calls"));
     assert!(!files.is_empty(), "src/contract/calls has no files: has it moved?");
     for file in files {
         assert!(!code_of(&file).contains("Service"), "{}: a call has the service", file.display());
@@ -304,7 +308,7 @@ fn the_floors_are_those_of_the_map() {
 #[test]
 fn pure_modules_do_nothing_but_compute() {
     for module in PURE {
-        for file in rust_files(&root().join(module)) {
+        for file in rust_files(&folder(module)) {
             let code = code_of(&file);
             for word in IMPURE {
                 let found = code.lines().position(|line| line.contains(word));
@@ -317,7 +321,7 @@ fn pure_modules_do_nothing_but_compute() {
 #[test]
 fn graph_and_lambda_know_no_gnss_word() {
     for module in ["graph", "lambda"] {
-        for file in rust_files(&root().join(module)) {
+        for file in rust_files(&folder(module)) {
             let text = fs::read_to_string(&file).expect("source is UTF-8").to_lowercase();
             for word in GNSS_WORDS {
                 assert!(!text.contains(word), "{} says {word:?}", file.display());
@@ -328,7 +332,7 @@ fn graph_and_lambda_know_no_gnss_word() {
 
 #[test]
 fn the_vocabulary_is_not_serialised() {
-    for file in rust_files(&root().join("gnss")) {
+    for file in rust_files(&folder("gnss")) {
         let code = code_of(&file);
         assert!(!code.contains("erialize"), "{}", file.display());
     }
@@ -337,7 +341,7 @@ fn the_vocabulary_is_not_serialised() {
 #[test]
 fn only_the_store_speaks_sql() {
     for (module, _) in MAY_NAME.iter().filter(|(module, _)| *module != "store") {
-        for file in rust_files(&root().join(module)) {
+        for file in rust_files(&folder(module)) {
             let code = code_of(&file);
             assert!(!code.contains("sqlx::") && !code.contains("rusqlite::"), "{}", file.display());
         }
@@ -346,7 +350,7 @@ fn only_the_store_speaks_sql() {
 
 #[test]
 fn nothing_is_called_util() {
-    for file in rust_files(&root()) {
+    for file in all_files() {
         for part in file.iter().map(|part| part.to_string_lossy()) {
             let stem = part.trim_end_matches(".rs");
             let banned = ["util", "utils", "common", "helper", "helpers", "manager", "misc"];
@@ -358,7 +362,7 @@ fn nothing_is_called_util() {
 #[test]
 fn files_functions_and_lines_are_short() {
     let mut wrong = Vec::new();
-    for file in rust_files(&root()) {
+    for file in all_files() {
         let text = before_tests(&file);
         let lines = text.lines().count();
         if FILE_LINES < lines {
@@ -383,8 +387,8 @@ fn files_functions_and_lines_are_short() {
 fn functions_take_few_parameters() {
     let (mut wrong, mut listed) = (Vec::new(), BTreeSet::new());
     let mut lengths = Vec::new();
-    for file in rust_files(&root()) {
-        let path = file.strip_prefix(root()).expect("found below").display().to_string();
+    for file in all_files() {
+        let path = inside(&file).display().to_string();
         for Function { name, line, lines, parameters } in functions(&code_of(&file)) {
             lengths.push(lines);
             let entry = (path.as_str(), name.as_str(), parameters);
@@ -410,14 +414,14 @@ fn functions_take_few_parameters() {
 /// The modules of a folder, at any depth, do not name each other in a circle.
 #[test]
 fn no_module_names_itself_in_a_circle() {
-    let circles = Modules::read(&root()).circles();
+    let circles = Modules::read().circles();
     assert!(circles.is_empty(), "modules name each other in a circle:\n{}", circles.join("\n"));
 }
 
 /// Messages are written for people who read English as a second language.
 #[test]
 fn messages_are_in_plain_words() {
-    for file in rust_files(&root()) {
+    for file in all_files() {
         let text = before_tests(&file);
         for (line, literal) in literals(&text) {
             for riddle in ["is none", "are none"] {

@@ -5,9 +5,8 @@
 //! folder re-exports is followed to the file that defines it. A call of a method names nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
 
-use super::source::{code_of, identifier, rust_files, starts_word};
+use super::source::{all_files, code_of, identifier, inside, starts_word};
 
 /// A module's path, or that of an item in it, without `crate`.
 type ModulePath = Vec<String>;
@@ -23,15 +22,16 @@ struct Module {
 }
 
 impl Modules {
-    /// Reads the sources of a crate.
-    pub(super) fn read(root: &Path) -> Self {
-        let mut sources = BTreeMap::new();
-        for file in rust_files(root) {
-            let inside = file.strip_prefix(root).expect("found below").with_extension("");
+    /// Reads the sources of both packages, as the one tree that the service makes of them.
+    pub(super) fn read() -> Self {
+        let mut sources: BTreeMap<ModulePath, String> = BTreeMap::new();
+        for file in all_files() {
+            let inside = inside(&file).with_extension("");
             let mut path: ModulePath =
                 inside.iter().map(|part| part.to_string_lossy().into_owned()).collect();
             path.pop_if(|name| name == "mod" || name == "lib");
-            sources.insert(path, code_of(&file));
+            // Each package has a root.
+            sources.entry(path).or_default().push_str(&code_of(&file));
         }
         Self::of(&sources)
     }

@@ -3,9 +3,28 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The folder of the library's sources.
-pub(super) fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("src")
+/// The folders of the sources: those of the package that computes, and those of the service.
+const ROOTS: [&str; 2] = ["compute/src", "src"];
+
+pub(super) fn roots() -> [PathBuf; 2] {
+    ROOTS.map(|root| Path::new(env!("CARGO_MANIFEST_DIR")).join(root))
+}
+
+/// The folder of a module of the first level.
+pub(super) fn folder(module: &str) -> PathBuf {
+    let [compute, service] = roots().map(|root| root.join(module));
+    if compute.exists() { compute } else { service }
+}
+
+/// Every Rust file of both packages, in order.
+pub(super) fn all_files() -> Vec<PathBuf> {
+    roots().iter().flat_map(|root| rust_files(root)).collect()
+}
+
+/// A file's path inside the sources of its package.
+pub(super) fn inside(file: &Path) -> &Path {
+    let found = roots().into_iter().find_map(|root| file.strip_prefix(root).ok());
+    found.expect("found below one of them")
 }
 
 /// Every Rust file below a folder, in order.

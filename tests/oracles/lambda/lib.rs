@@ -1,4 +1,4 @@
 //! The integer least squares of Graphfix alone, compiled from its sources: it names no other module.
 
-#[path = "../../../src/lambda/mod.rs"]
+#[path = "../../../compute/src/lambda/mod.rs"]
 pub mod lambda;

@@ -1,0 +1,236 @@
+//! The positions of a recording.
+
+use std::collections::VecDeque;
+
+use crate::config::PositioningOptions;
+use crate::gnss::{Epoch, GpsTime, LeapSeconds, Solution};
+
+use super::{AnswerKind, Provenance, Recording, RecordingError, RecordingInputs, Solver};
+
+/// The positions of a recording, in the order in which the estimator gives them: one for each epoch
+/// of the requested span.
+///
+/// An error ends the iteration. A recording without an epoch in the span is an error.
+///
+/// ```no_run
+/// use std::fs::File;
+/// use std::io::BufReader;
+///
+/// use graphfix_compute::config::{Mode, PositioningOptions, Profile};
+/// use graphfix_compute::recording::{AnswerKind, Input, RecordingInputs, Solutions};
+///
+/// let file = |path: &'static str| {
+///     Input::new(path.to_owned(), move || Ok(Box::new(BufReader::new(File::open(path)?))))
+/// };
+/// let inputs = RecordingInputs {
+///     navigation: vec![file("navigation.rnx")],
+///     base: Some(file("base.obs")),
+///     ..RecordingInputs::of_rover(file("rover.obs"))
+/// };
+/// let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+/// let mut solutions = Solutions::open(&inputs, options, AnswerKind::Causal)?;
+/// for solution in &mut solutions {
+///     println!("{:?}", solution?.estimate);
+/// }
+/// println!("{}", solutions.provenance().lines().join("\n"));
+/// # Ok::<(), graphfix_compute::recording::RecordingError>(())
+/// ```
+pub struct Solutions<'a> {
+    inputs: &'a RecordingInputs,
+    recording: Recording<'a>,
+    /// `None` after the last answer.
+    solver: Option<Solver>,
+    epoch: Epoch,
+    has_epochs: bool,
+    /// Answers that have not been returned yet.
+    due: VecDeque<Solution>,
+}
+
+impl<'a> Solutions<'a> {
+    /// Opens the files and reads their headers and the navigation data.
+    ///
+    /// # Errors
+    /// A file cannot be read or dated, no source gives the base's position, or the mode or the kind
+    /// of answer is refused.
+    pub fn open(
+        inputs: &'a RecordingInputs,
+        options: PositioningOptions,
+        answer: AnswerKind,
+    ) -> Result<Self, RecordingError> {
+        inputs.check(&options, answer)?;
+        Ok(Self {
+            inputs,
+            recording: Recording::open(inputs)?,
+            solver: Some(Solver::new(options, answer)),
+            epoch: Epoch::new(GpsTime::EPOCH),
+            has_epochs: false,
+            due: VecDeque::new(),
+        })
+    }
+
+    /// Leap seconds of the navigation data.
+    pub fn leap_seconds(&self) -> LeapSeconds {
+        self.recording.navigation().leap_seconds
+    }
+
+    /// The provenance of the positions so far.
+    pub fn provenance(&self) -> Provenance {
+        self.recording.provenance()
+    }
+
+    /// Positions the next epoch, or at the end gives the estimator's remaining answers. Appends
+    /// the answers that are due to `answers`. Returns whether the recording goes on.
+    ///
+    /// # Errors
+    /// A file cannot be read, or the recording has no epoch. Nothing follows then.
+    pub fn step(&mut self, answers: &mut Vec<Solution>) -> Result<bool, RecordingError> {
+        let advanced = self.advance();
+        answers.extend(self.due.drain(..));
+        if advanced.is_err() {
+            self.solver = None;
+        }
+        advanced.map(|()| self.solver.is_some())
+    }
+
+    fn advance(&mut self) -> Result<(), RecordingError> {
+        let Some(solver) = &mut self.solver else { return Ok(()) };
+        if self.recording.read_epoch(&mut self.epoch)? {
+            self.has_epochs = true;
+            self.due.extend(solver.advance(&self.epoch, &self.recording.aiding()));
+            return Ok(());
+        }
+        self.due.extend(self.solver.take().map(Solver::finish).unwrap_or_default());
+        if !self.has_epochs {
+            return Err(RecordingError::NoEpochs { name: self.inputs.rover.name().to_owned() });
+        }
+        Ok(())
+    }
+}
+
+impl Iterator for Solutions<'_> {
+    type Item = Result<Solution, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        while self.due.is_empty() && self.solver.is_some() {
+            if let Err(error) = self.advance() {
+                self.solver = None;
+                return Some(Err(error));
+            }
+        }
+        self.due.pop_front().map(Ok)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Read;
+
+    use super::*;
+    use crate::config::{Mode, Profile};
+    use crate::formats::rinex::{
+        ObservationHeader, ObservationWriter, RinexVersion, write_navigation,
+    };
+    use crate::gnss::{PositionSource, Reason};
+    use crate::recording::Input;
+    use crate::simulation::{Scenario, Simulator};
+
+    const EPOCHS: usize = 20;
+
+    fn options(mode: Mode) -> PositioningOptions {
+        PositioningOptions::new(mode, Profile::General)
+    }
+
+    /// A simulated rover with a base whose header gives no position.
+    fn simulated() -> RecordingInputs {
+        let scenario = Scenario { duration_s: EPOCHS as f64 - 1.0, ..Scenario::rtk_open() };
+        let mut header = ObservationHeader::new(RinexVersion::new(3, 5));
+        for constellation in &scenario.constellations {
+            header.codes[constellation.index()] = scenario.signals(*constellation).collect();
+        }
+        let simulator = Simulator::new(scenario, 1);
+        let mut navigation = Vec::new();
+        write_navigation(&mut navigation, simulator.navigation()).unwrap();
+        let writer = || ObservationWriter::new(Vec::new(), &header).unwrap();
+        let (mut rover, mut base) = (writer(), writer());
+        for epoch in simulator {
+            rover.write_epoch(&epoch.rover).unwrap();
+            base.write_epoch(&epoch.base.unwrap()).unwrap();
+        }
+        let input = |name: &str, bytes: Vec<u8>| Input::from_bytes(name.to_owned(), bytes.into());
+        RecordingInputs {
+            navigation: vec![input("navigation", navigation)],
+            base: Some(input("base", base.finish().unwrap())),
+            ..RecordingInputs::of_rover(input("rover", rover.finish().unwrap()))
+        }
+    }
+
+    /// With every kind of answer, each epoch has one, in the order of time.
+    #[test]
+    fn each_epoch_is_answered_once() {
+        let inputs = simulated();
+        for answer in [AnswerKind::Causal, AnswerKind::FixedLag, AnswerKind::Batch] {
+            let solutions = Solutions::open(&inputs, options(Mode::Fgo), answer).unwrap();
+            let times: Vec<GpsTime> = solutions.map(|solution| solution.unwrap().time).collect();
+            assert_eq!(times.len(), EPOCHS, "{answer:?}");
+            assert!(times.is_sorted(), "{answer:?}");
+        }
+    }
+
+    /// Epochs written twice, and one out of order, repeat the answer before them. All other answers
+    /// are the same as without them.
+    #[test]
+    fn epochs_not_after_the_last_one_repeat_its_answer() {
+        let inputs = simulated();
+        let mut reader = inputs.rover.open().unwrap();
+        let mut text = String::new();
+        reader.read_to_string(&mut text).unwrap();
+        let starts: Vec<usize> = text.match_indices("\n>").map(|(at, _)| at + 1).collect();
+        let epoch = |index: usize| &text[starts[index]..starts[index + 1]];
+        let disturbed = [&text[..starts[8]], epoch(7), epoch(3), &text[starts[8]..]].concat();
+        let rover = Input::from_bytes("rover".to_owned(), disturbed.into_bytes().into());
+        let again = RecordingInputs { rover, ..simulated() };
+        for answer in [AnswerKind::Causal, AnswerKind::FixedLag, AnswerKind::Batch] {
+            let all = |inputs: &RecordingInputs| -> Vec<Solution> {
+                let solutions = Solutions::open(inputs, options(Mode::Fgo), answer).unwrap();
+                solutions.map(Result::unwrap).collect()
+            };
+            let (plain, mut with) = (all(&inputs), all(&again));
+            let repeated: Vec<Solution> = with.drain(8..10).collect();
+            assert_eq!(with, plain, "{answer:?}");
+            for (solution, behind_s) in repeated.into_iter().zip([0.0, 4.0]) {
+                let mut expected = plain[7].clone();
+                expected.reasons.push(Reason::EpochRepeated { behind_s });
+                assert_eq!(solution, expected, "{answer:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_provenance_names_the_source_of_the_base_position() {
+        let inputs = simulated();
+        let mut solutions =
+            Solutions::open(&inputs, options(Mode::RtkFgo), AnswerKind::Causal).unwrap();
+        assert_eq!(solutions.by_ref().filter(Result::is_ok).count(), EPOCHS);
+        let base = solutions.provenance().base.unwrap();
+        assert_eq!(base.site.source, PositionSource::SinglePoints);
+        assert_eq!(base.averaged, EPOCHS as u64);
+    }
+
+    #[test]
+    fn what_the_recording_has_not_is_refused() {
+        let refusal = |inputs: &RecordingInputs, mode, answer| {
+            Solutions::open(inputs, options(mode), answer).map(drop).unwrap_err()
+        };
+        let inputs = simulated();
+        let refused = refusal(&inputs, Mode::Spp, AnswerKind::Batch);
+        assert!(matches!(refused, RecordingError::NoSuchAnswer { .. }), "{refused}");
+        let alone = RecordingInputs { base: None, ..simulated() };
+        let refused = refusal(&alone, Mode::RtkEkf, AnswerKind::Causal);
+        assert!(matches!(refused, RecordingError::BaseRequired { .. }), "{refused}");
+        let late = RecordingInputs { from_s: Some(604_799.0), ..simulated() };
+        let mut solutions = Solutions::open(&late, options(Mode::Spp), AnswerKind::Causal).unwrap();
+        let refused = solutions.next().unwrap().unwrap_err();
+        assert!(matches!(refused, RecordingError::NoEpochs { .. }), "{refused}");
+        assert!(solutions.next().is_none());
+    }
+}
