@@ -357,12 +357,7 @@ impl Factors {
 
 /// The likeliest step of the phase clock against the pseudorange clock (m), and the information of
 /// its tie at this step (1/m²). The iteration starts at `start_m`.
-fn clock_step(
-    tie: ClockTie,
-    start_m: f64,
-    phases: &[SeenPhase],
-    kernel: &Kernel,
-) -> (f64, f64) {
+fn clock_step(tie: ClockTie, start_m: f64, phases: &[SeenPhase], kernel: &Kernel) -> (f64, f64) {
     let prior = tie.scale_m2.recip();
     let (mut step_m, mut information) = (start_m, prior);
     for _ in 0..CLOCK_ITERATIONS {
