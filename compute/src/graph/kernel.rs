@@ -116,8 +116,15 @@ impl Kernel {
     }
 
     /// Weight w(s) = ρ′(s)/s, with its limit `independent_share` at zero.
+    #[inline]
     pub(crate) fn weight(&self, s: f64) -> f64 {
-        self.loss_and_weight(s).1
+        let width = if s < 0.0 { self.negative_width } else { self.positive_width };
+        let weight = match self.law {
+            // Without its loss, which has a logarithm.
+            Law::Cauchy => width * width / (width * width + s * s),
+            law => law.evaluate(s, width).1,
+        };
+        self.independent_share * weight
     }
 
     /// Slope ψ′(s) of the influence function ψ(s) = w(s)·s; negative where a kernel redescends.

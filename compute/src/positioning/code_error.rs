@@ -82,13 +82,26 @@ pub(super) struct Evaluated {
     pub(super) direct: f64,
 }
 
+/// The likelihood at one whitened residual z = s/σ.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Whitened {
+    /// p(s) (1/m).
+    pub(super) density: f64,
+    /// dJ/dz.
+    pub(super) slope: f64,
+    /// Curvature of the expectation's bound, in z.
+    pub(super) curvature: f64,
+    /// d²J/dz², negative where the identification changes.
+    pub(super) information: f64,
+    /// γ_D: probability that the signal is direct, given its residual.
+    pub(super) direct: f64,
+}
+
 /// The likelihood of one pseudorange, prepared for many residuals.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Likelihood {
     /// 1/σ (1/m).
     per_sigma_m: f64,
-    /// 1/λ (1/m).
-    per_path_m: f64,
     /// σ/λ.
     ratio: f64,
     /// (1 − ε)·(1 − π)·N(0; 0, σ²) (1/m).
@@ -100,15 +113,7 @@ pub(super) struct Likelihood {
 impl CodeError {
     /// The likelihood with the constants of this error model.
     pub(super) fn likelihood(&self) -> Likelihood {
-        let known = 1.0 - FAULT_SHARE;
-        let (per_sigma_m, per_path_m) = (self.sigma_m.recip(), self.extra_path_m.recip());
-        Likelihood {
-            per_sigma_m,
-            per_path_m,
-            ratio: self.sigma_m * per_path_m,
-            direct: known * (1.0 - self.reflected) * per_sigma_m * NORMAL_PEAK,
-            late: known * self.reflected * per_path_m,
-        }
+        Likelihood::new(self.sigma_m.recip(), self.reflected, self.extra_path_m)
     }
 
     /// See [`Likelihood::evaluate`].
@@ -123,24 +128,49 @@ impl CodeError {
 }
 
 impl Likelihood {
+    /// With 1/σ (1/m), π and λ (m).
+    pub(super) fn new(per_sigma_m: f64, reflected: f64, extra_path_m: f64) -> Self {
+        let (known, ratio) = (1.0 - FAULT_SHARE, (per_sigma_m * extra_path_m).recip());
+        Self {
+            per_sigma_m,
+            ratio,
+            direct: known * (1.0 - reflected) * per_sigma_m * NORMAL_PEAK,
+            late: known * reflected * ratio * per_sigma_m,
+        }
+    }
+
     /// The likelihood at s = measured − modelled (m), with slope and curvatures of J.
+    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
+        let per_m = self.per_sigma_m;
+        let Whitened { density, slope, curvature, information, direct } = self.weigh(s_m * per_m);
+        let per_m2 = per_m * per_m;
+        Evaluated {
+            density,
+            slope: slope * per_m,
+            curvature: curvature * per_m2,
+            information: information * per_m2,
+            direct,
+        }
+    }
+
+    /// The likelihood at z = s/σ, with slope and curvatures of J in z.
     ///
     /// The curvature of the expectation's bound is that of a known identification. The one of J is
     /// smaller by the missing information: Louis (1982), *Finding the observed information matrix
     /// when using the EM algorithm*, (3.2).
-    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
-        let (per_m, z) = (self.per_sigma_m, s_m * self.per_sigma_m);
+    #[inline]
+    pub(super) fn weigh(&self, z: f64) -> Whitened {
         let (direct, late, hazard) = self.joint_densities(z);
         let density = direct + late + FAULT_DENSITY;
         let per_density = density.recip();
         let (direct, late) = (direct * per_density, late * per_density);
         let u = z - self.ratio;
-        let (on_direct, on_late) = (z * per_m, self.per_path_m - hazard * per_m);
-        let slope = direct * on_direct + late * on_late;
-        let curvature = (direct + late * hazard * (u + hazard)) * per_m * per_m;
+        let on_late = self.ratio - hazard;
+        let slope = direct * z + late * on_late;
+        let curvature = direct + late * hazard * (u + hazard);
         // The missing information is the variance of the slope over the unknown identification.
-        let missing = direct * on_direct.powi(2) + late * on_late.powi(2) - slope * slope;
-        Evaluated { density, slope, curvature, information: curvature - missing, direct }
+        let missing = direct * z * z + late * on_late * on_late - slope * slope;
+        Whitened { density, slope, curvature, information: curvature - missing, direct }
     }
 
     /// p(s) alone (1/m), at s = measured − modelled (m).
@@ -157,17 +187,37 @@ impl Likelihood {
 }
 
 /// Σ ln p, with one logarithm for about twelve densities, of their product.
-pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
-    // No density is below 0.02/400 m, so the product of twelve is at least 10⁻⁵².
-    let (mut sum, mut product) = (0.0, 1.0_f64);
-    for density in densities {
-        product *= density;
-        if product < 1e-50 {
-            sum += product.ln();
-            product = 1.0;
+#[derive(Clone, Copy, Debug)]
+pub(super) struct LogProduct {
+    sum: f64,
+    product: f64,
+}
+
+impl LogProduct {
+    /// Of no densities.
+    pub(super) const ZERO: Self = Self { sum: 0.0, product: 1.0 };
+
+    /// Multiplies by a density, which is not below ε/W.
+    #[inline]
+    pub(super) fn add(&mut self, density: f64) {
+        // ε/W is 0.02/400 m, so the product of twelve is at least 10⁻⁵².
+        self.product *= density;
+        if self.product < 1e-50 {
+            *self = Self { sum: self.value(), product: 1.0 };
         }
     }
-    sum + product.ln()
+
+    /// Σ ln p.
+    pub(super) fn value(&self) -> f64 {
+        self.sum + self.product.ln()
+    }
+}
+
+/// Σ ln p of densities, none of which is below ε/W.
+pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
+    let mut product = LogProduct::ZERO;
+    densities.for_each(|density| product.add(density));
+    product.value()
 }
 
 /// φ(z)/φ(0), λ·E and h at z = s/σ, with r = σ/λ.

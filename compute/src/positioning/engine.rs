@@ -7,6 +7,7 @@ use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::Snapshot;
 
 use super::aiding::BaseAiding;
+use super::bands::ReceiverBands;
 use super::measurements::CorrectedRanges;
 use super::setup::Setup;
 
@@ -20,6 +21,8 @@ pub(super) struct EpochInputs<'a> {
     /// The pseudoranges that a base corrected, for an estimator that takes no others.
     pub(super) corrected: Option<&'a CorrectedRanges>,
     pub(super) setup: &'a Setup,
+    /// What the receiver has shown of its bands, this epoch included.
+    pub(super) bands: ReceiverBands,
 }
 
 impl<'a> EpochInputs<'a> {

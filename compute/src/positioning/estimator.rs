@@ -8,6 +8,7 @@ use crate::gnss::{Epoch, GpsTime, Solution};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 
 use super::aiding::Aiding;
+use super::bands::ReceiverBands;
 use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
@@ -17,7 +18,7 @@ use super::setup::Setup;
 use super::spp::SinglePoints;
 
 /// Layout of the snapshots. Raise it when their content changes.
-const LAYOUT: u16 = 18;
+const LAYOUT: u16 = 19;
 
 /// Defines the state and the scratch of all modes from one table: the mode's number in snapshots,
 /// its name, its engine, and its field in the scratch.
@@ -183,11 +184,12 @@ impl Deref for PreparedOptions {
 pub struct EstimatorState {
     setup: Arc<Setup>,
     mode: ModeState,
+    bands: ReceiverBands,
     /// Revisions that have not been taken yet.
     revisions: Vec<Solution>,
 }
 
-clone_fields!(EstimatorState { setup, mode, revisions });
+clone_fields!(EstimatorState { setup, mode, bands, revisions });
 
 impl EstimatorState {
     /// The state before the first epoch. With `revises`, a mode with a window revises epochs when
@@ -200,13 +202,14 @@ impl EstimatorState {
     pub fn prepared(options: &PreparedOptions, revises: bool) -> Self {
         let setup = options.0.clone();
         let mode = ModeState::new(&setup, revises);
-        Self { setup, mode, revisions: Vec::new() }
+        Self { setup, mode, bands: ReceiverBands::default(), revisions: Vec::new() }
     }
 
     /// A new state with the same options, before the first epoch.
     pub fn renewed(&self, revises: bool) -> Self {
         let mode = ModeState::new(&self.setup, revises);
-        Self { setup: Arc::clone(&self.setup), mode, revisions: Vec::new() }
+        let (setup, bands) = (Arc::clone(&self.setup), ReceiverBands::default());
+        Self { setup, mode, bands, revisions: Vec::new() }
     }
 
     /// Solves one epoch. A solution without a position states the reasons.
@@ -217,7 +220,9 @@ impl EstimatorState {
         scratch: &mut Scratch,
     ) -> Solution {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
+        self.bands.learn(epoch);
+        let (setup, bands) = (&*self.setup, self.bands);
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup, bands };
         let due = self.revisions.len();
         let mut solution = self.mode.advance(&inputs, scratch, &mut self.revisions);
         let integrity = &self.setup.options.integrity;
@@ -249,7 +254,7 @@ impl EstimatorState {
     /// navigation data. Take the revisions first: the bytes do not contain them.
     pub fn snapshot(&self) -> Vec<u8> {
         let mut writer = SnapshotWriter::new(LAYOUT);
-        self.mode.save(&mut writer);
+        self.write(&mut writer);
         writer.finish()
     }
 
@@ -268,6 +273,11 @@ impl EstimatorState {
     /// The same as [`Self::snapshot`] as a part of another snapshot, which has the only hash.
     pub fn save_in(&self, writer: &mut SnapshotWriter) {
         LAYOUT.save(writer);
+        self.write(writer);
+    }
+
+    fn write(&self, writer: &mut SnapshotWriter) {
+        self.bands.save(writer);
         self.mode.save(writer);
     }
 
@@ -290,11 +300,12 @@ impl EstimatorState {
         reader: &mut SnapshotReader<'_>,
     ) -> Result<Self, SnapshotError> {
         let setup = options.0.clone();
+        let bands = ReceiverBands::load(reader)?;
         let mode = ModeState::load(reader)?;
         if !mode.fits(&setup) {
             return Err(reader.invalid("mode"));
         }
-        Ok(Self { setup, mode, revisions: Vec::new() })
+        Ok(Self { setup, mode, bands, revisions: Vec::new() })
     }
 }
 
@@ -409,6 +420,7 @@ impl Clone for Estimator {
 pub struct Batch {
     setup: Setup,
     chain: Whole,
+    bands: ReceiverBands,
     /// Solutions of chains that have ended.
     solutions: Vec<Solution>,
 }
@@ -431,13 +443,15 @@ impl Batch {
             }
             Kind::RtkPaper => relative(ModeState::RtkPaper(Box::new(RtkPaper::new(&setup, true)))),
         };
-        Self { setup, chain, solutions: Vec::new() }
+        Self { setup, chain, bands: ReceiverBands::default(), solutions: Vec::new() }
     }
 
     /// Takes one epoch.
     pub fn push(&mut self, epoch: &Epoch, aiding: &Aiding<'_>) {
         let Aiding { navigation, base } = *aiding;
-        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup: &self.setup };
+        self.bands.learn(epoch);
+        let (setup, bands) = (&self.setup, self.bands);
+        let inputs = EpochInputs { epoch, navigation, base, corrected: None, setup, bands };
         match &mut self.chain {
             Whole::Alone(chain) => chain.push(&inputs),
             Whole::Relative(relative) => {

@@ -12,6 +12,7 @@
 mod aiding;
 mod answer;
 mod antenna;
+mod bands;
 mod base_position;
 mod chi_square;
 mod clock_jump;

@@ -5,7 +5,7 @@ use crate::graph::{Kernel, Law, Row};
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
-use super::code_error::{CodeError, Evaluated};
+use super::code_error::{CodeError, Likelihood, LogProduct, Whitened};
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 
@@ -77,11 +77,28 @@ snapshot_fields!(Reflection { chance, before_learning });
 /// with the same slope.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Judged {
-    pub(super) loss: f64,
     pub(super) residual: f64,
     pub(super) weight: f64,
     /// Probability that it is the direct signal.
     pub(super) direct: f64,
+}
+
+/// The losses of an epoch's pseudoranges.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct RangeLosses {
+    /// Of those with a kernel.
+    kernel: f64,
+    mixture: LogProduct,
+}
+
+impl RangeLosses {
+    /// Of no pseudorange.
+    pub(super) const ZERO: Self = Self { kernel: 0.0, mixture: LogProduct::ZERO };
+
+    /// Their sum.
+    pub(super) fn value(&self) -> f64 {
+        self.kernel - self.mixture.value()
+    }
 }
 
 /// What a pseudorange says of the noise, at its residual.
@@ -149,34 +166,52 @@ impl Ranging {
         })
     }
 
-    /// Loss, weight and equivalent residual of a whitened residual (model − measured). They follow
-    /// from the error model, except in the convex first stage of a solve, whose kernel is Huber's.
+    /// Weight and equivalent residual of a whitened residual (model − measured), whose loss is added
+    /// to `losses`. They follow from the error model, except in the convex first stage of a solve,
+    /// whose kernel is Huber's.
     #[inline]
-    pub(super) fn judge(&self, residual: f64, kernel: &Kernel) -> Judged {
-        match self.error().filter(|_| kernel.law != Law::Huber) {
-            Some(error) => Judged::of_mixture(residual, &error),
+    pub(super) fn judge(&self, residual: f64, kernel: &Kernel, losses: &mut RangeLosses) -> Judged {
+        match self.likelihood().filter(|_| kernel.law != Law::Huber) {
+            Some(likelihood) => {
+                let at = likelihood.weigh(-residual);
+                losses.mixture.add(at.density);
+                Judged::of_mixture(&at)
+            }
             None => {
                 let (loss, weight) = kernel.loss_and_weight(residual);
-                Judged { loss, residual, weight, direct: weight }
+                losses.kernel += loss;
+                Judged { residual, weight, direct: weight }
             }
         }
+    }
+
+    /// The probability that it is the direct signal, or the weight of its kernel.
+    pub(super) fn direct(&self, residual: f64, kernel: &Kernel) -> f64 {
+        let mut unused = RangeLosses::ZERO;
+        self.judge(residual, kernel, &mut unused).direct
+    }
+
+    /// Its error model, if one is set, ready to be evaluated.
+    fn likelihood(&self) -> Option<Likelihood> {
+        let Reflection { chance, before_learning } = self.reflection?;
+        let per_sigma_m = self.factor.inverse_sigma;
+        Some(Likelihood::new(per_sigma_m, chance, before_learning.extra_path_m))
     }
 
     /// Its part in the residuals of its epoch, with the error model that [`Self::judge`] uses.
     pub(super) fn influence(&self, residual: f64, kernel: &Kernel) -> Influence {
         let constellation = self.satellite.constellation;
-        let Some(error) = self.error().filter(|_| kernel.law != Law::Huber) else {
+        let Some(likelihood) = self.likelihood().filter(|_| kernel.law != Law::Huber) else {
             let (weight, slope) = (kernel.weight(residual), kernel.pull_slope(residual));
             let (pull, is_accepted) = (weight * residual, 0.0 < slope);
             return Influence { constellation, pull, weight, slope, is_accepted };
         };
-        let at = error.evaluate(-residual * error.sigma_m);
-        let variance_m2 = error.sigma_m * error.sigma_m;
+        let at = likelihood.weigh(-residual);
         Influence {
             constellation,
-            pull: -at.slope * error.sigma_m,
-            weight: at.curvature * variance_m2,
-            slope: at.information * variance_m2,
+            pull: -at.slope,
+            weight: at.curvature,
+            slope: at.information,
             is_accepted: USED_WEIGHT <= at.direct,
         }
     }
@@ -259,15 +294,12 @@ impl Judged {
     /// Weight below which a row is ignored.
     const NEGLIGIBLE: f64 = 1e-9;
 
-    fn of_mixture(residual: f64, error: &CodeError) -> Self {
-        let Evaluated { density, slope, curvature, direct, .. } =
-            error.evaluate(-residual * error.sigma_m);
-        let loss = -density.ln();
-        let weight = curvature * error.sigma_m * error.sigma_m;
+    fn of_mixture(at: &Whitened) -> Self {
+        let Whitened { slope, curvature: weight, direct, .. } = *at;
         if weight < Self::NEGLIGIBLE {
-            return Self { loss, residual: 0.0, weight: 0.0, direct };
+            return Self { residual: 0.0, weight: 0.0, direct };
         }
-        Self { loss, residual: -slope * error.sigma_m / weight, weight, direct }
+        Self { residual: -slope / weight, weight, direct }
     }
 }
 

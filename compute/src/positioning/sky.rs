@@ -9,6 +9,7 @@ use crate::gnss::{SatelliteId, Solution};
 use crate::models::{LookAngles, geometric_range, look_angles, satellite_state};
 use crate::models::{select_ephemeris, select_ephemeris_within};
 
+use super::bands::ReceiverBands;
 use super::{Measurement, Measurements};
 
 /// Satellites of one constellation below which a median says nothing of its clock.
@@ -60,7 +61,7 @@ pub fn satellite_views(
 ) -> Vec<SatelliteView> {
     let position = solution.estimate.as_ref().map(|estimate| estimate.position);
     let mut measurements = Measurements::default();
-    measurements.gather(epoch, navigation, options);
+    measurements.gather(epoch, navigation, options, ReceiverBands::of(epoch));
     // None: a position where no receiver can be has no residuals either.
     let residuals = position
         .filter(|position| measurements.place(*position, epoch.time, navigation, options).is_some())

@@ -32,7 +32,9 @@ use crate::models::{
 
 use crate::snapshot::snapshot_fields;
 
+use super::code_error::WILD_M;
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
+use super::ranging::median;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 pub(super) use corrected::BaseClock;
 pub(super) use fading::SignalLevels;
@@ -152,6 +154,7 @@ pub(super) struct SingleDifferences {
     pub(super) without_ephemeris: Vec<SatelliteId>,
     /// Satellites of the base with the range of their observations, sorted.
     base: Vec<(SatelliteId, usize, usize)>,
+    numbers: Vec<f64>,
 }
 
 impl SingleDifferences {
@@ -194,8 +197,10 @@ impl SingleDifferences {
             self.add(&scene, &common, (ephemeris, base.levels), options);
         }
         self.without_ephemeris.sort_unstable();
+        self.receive_at_once(&scene);
         self.mask(options);
         self.list.sort_unstable_by_key(|difference| (difference.group(), difference.satellite));
+        self.drop_wild(&scene.rover);
         Some(())
     }
 
@@ -269,6 +274,64 @@ impl SingleDifferences {
         });
     }
 
+    /// Corrects for wild pseudoranges, from which times of transmission were wrong.
+    ///
+    /// A receiver samples all signals at one time, which its clock offset tells: the median of
+    /// pseudoranges less ranges, if most of them agree with it. A pseudorange that is off by more
+    /// than W = 440 m, the most that multipath can cause, gives the phases of its satellite an error
+    /// above a millimetre: ρ̇·W/c with ρ̇ of 800 m/s.
+    fn receive_at_once(&mut self, scene: &Scene) {
+        let Self { satellites, list, numbers, .. } = self;
+        let range_m = |state: &SatelliteState, from: &Receiver| {
+            geometric_range(state.position, from.frame.origin).0
+        };
+        let offset_m = |s: &CommonSatellite| s.rover_range_m - range_m(&s.state, &scene.rover);
+        if let Some(clock_m) = agreed_m(satellites.iter().map(offset_m), numbers) {
+            for satellite in satellites.iter_mut() {
+                let wild_m = offset_m(satellite) - clock_m;
+                if WILD_M < wild_m.abs() {
+                    satellite.state = carried(&satellite.state, wild_m / SPEED_OF_LIGHT);
+                }
+            }
+        }
+        if let Some(clock_m) = agreed_m(satellites.iter().map(|s| s.base_offset_m), numbers) {
+            for (common, satellite) in satellites.iter_mut().enumerate() {
+                let wild_m = satellite.base_offset_m - clock_m;
+                if wild_m.abs() <= WILD_M {
+                    continue;
+                }
+                let moved = carried(&satellite.state, wild_m / SPEED_OF_LIGHT);
+                let farther_m =
+                    range_m(&moved, &scene.base) - range_m(&satellite.state, &scene.base);
+                satellite.base_offset_m -= farther_m;
+                for difference in list.iter_mut().filter(|d| d.common == common) {
+                    let differenced = [&mut difference.pseudorange, &mut difference.carrier];
+                    differenced.into_iter().flatten().for_each(|z| z.range_m += farther_m);
+                }
+            }
+        }
+    }
+
+    /// Drops the pseudoranges that are off by more than W from those of their group.
+    fn drop_wild(&mut self, rover: &Receiver) {
+        let Self { satellites, list, numbers, .. } = self;
+        let offset_m = |d: &SingleDifference| {
+            let state = &satellites[d.common].state;
+            let (range_m, _) = geometric_range(state.position, rover.frame.origin);
+            Some(d.pseudorange?.range_m - range_m)
+        };
+        for group in list.chunk_by_mut(|a, b| a.group() == b.group()) {
+            let Some(clock_m) = agreed_m(group.iter().filter_map(offset_m), numbers) else {
+                continue;
+            };
+            for difference in group {
+                let is_wild = |m: f64| WILD_M < (m - clock_m).abs();
+                difference.pseudorange =
+                    difference.pseudorange.filter(|_| !offset_m(difference).is_some_and(is_wild));
+            }
+        }
+    }
+
     /// Drops satellites below the elevation mask: the lower mask while few satellites are above the
     /// upper one.
     fn mask(&mut self, options: &PositioningOptions) {
@@ -339,6 +402,15 @@ impl Scene {
         };
         [state, other]
     }
+}
+
+/// The median of clock offsets (m), if most of them are within W of it.
+fn agreed_m(offsets_m: impl Iterator<Item = f64>, numbers: &mut Vec<f64>) -> Option<f64> {
+    numbers.clear();
+    numbers.extend(offsets_m);
+    let middle_m = median(numbers)?;
+    let near = numbers.iter().filter(|offset_m| (*offset_m - middle_m).abs() <= WILD_M).count();
+    (numbers.len() < 2 * near).then_some(middle_m)
 }
 
 /// The first pseudorange of each receiver (m), used only for the time of transmission.

@@ -257,10 +257,10 @@ impl FilterScratch {
         frame: &LocalFrame,
         receiver: Ecef,
     ) -> Option<()> {
-        let EpochInputs { epoch, navigation, .. } = *inputs;
+        let EpochInputs { epoch, navigation, bands, .. } = *inputs;
         let Self { measurements, rows, .. } = self;
         rows.clear();
-        measurements.gather(epoch, navigation, inputs.options());
+        measurements.gather(epoch, navigation, inputs.options(), bands);
         measurements.place(receiver, epoch.time, navigation, inputs.options())?;
         // The most precise first; rows of equal precision in the order of their satellites.
         measurements.list.sort_unstable_by(|a, b| {

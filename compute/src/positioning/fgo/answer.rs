@@ -38,7 +38,7 @@ pub(super) fn solution(
     factors.see(state, lines);
     weights.clear();
     let residual = |range: &Ranging| range.linearize(lines, state, biases_m).residual;
-    weights.extend(factors.ranges.iter().map(|range| range.judge(residual(range), &kernel).direct));
+    weights.extend(factors.ranges.iter().map(|range| range.direct(residual(range), &kernel)));
     let mut reasons = Vec::new();
     factors.aiding_reasons(&mut reasons);
     reasons.extend(chain.unproven_s(epoch.time).map(|age_s| Reason::StartUnproven { age_s }));

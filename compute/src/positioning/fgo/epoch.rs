@@ -6,14 +6,14 @@ use nalgebra::Vector3;
 
 use crate::gnss::{GpsTime, Reason, SatelliteId};
 use crate::graph::HUBER_WIDTH;
-use crate::graph::{Estimate, Kernel, LinkSum, Phase, Prior, Problem, RowSum, System};
+use crate::graph::{Estimate, Kernel, Link, LinkSum, Phase, Prior, Problem, RowSum, System};
 use crate::positioning::factors::{
     BiasFactor, ClockFactor, ClockTie, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
     MotionFactor, OdometryFactor, POSITION_AND_CLOCK, PhaseDifferenceFactor, STATE, Sight, State,
     VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
 };
 use crate::positioning::measurements::aiding_reasons;
-use crate::positioning::ranging::{Ranging, median};
+use crate::positioning::ranging::{RangeLosses, Ranging, median};
 use crate::positioning::setup::{AnnealedKernels, Kernels, student};
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
@@ -28,6 +28,8 @@ const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 const CLOCK_INDEX: usize = 3;
 /// Iterations of reweighted least squares for the step of the phase clock.
 const CLOCK_ITERATIONS: usize = 5;
+/// The last of them is shorter than this (standard deviations of the step).
+const CLOCK_TOLERANCE: f64 = 1e-3;
 
 /// What links an epoch to the previous one, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
@@ -57,9 +59,18 @@ pub(super) struct Seen {
     /// of a reflection is as precise as a direct one but follows the reflected path; several
     /// reflections can agree with one another and not with the receiver's motion.
     phase_weights: Vec<f64>,
-    /// Residual, 1/σ (1/m) and weight of each phase difference.
-    phases: Vec<(f64, f64, f64)>,
+    phases: Vec<SeenPhase>,
     numbers: Vec<f64>,
+}
+
+/// A phase difference at the current estimate.
+#[derive(Debug)]
+struct SeenPhase {
+    link: Link<4, 4>,
+    /// 1/σ (1/m).
+    inverse_sigma: f64,
+    /// Its weight.
+    direct: f64,
 }
 
 /// One epoch of the chain.
@@ -94,12 +105,11 @@ impl GraphEpoch {
         factors.see(state, &mut seen.lines);
         seen.phase_weights.clear();
         seen.phase_weights.resize(factors.sights.len(), 1.0);
-        let (mut sum, mut losses) = (RowSum::ZERO, 0.0);
+        let (mut sum, mut losses) = (RowSum::ZERO, RangeLosses::ZERO);
         for range in &factors.ranges {
             let mut row = range.linearize(&seen.lines, state, biases_m);
-            let judged = range.judge(row.residual, &kernels.pseudorange);
+            let judged = range.judge(row.residual, &kernels.pseudorange, &mut losses);
             seen.phase_weights[usize::from(range.sight)] = judged.direct.max(PHASE_WEIGHT_MIN);
-            losses += judged.loss;
             row.residual = judged.residual;
             let weight = *share * judged.weight;
             sum.add(row.residual, &row.jacobian, weight);
@@ -108,7 +118,7 @@ impl GraphEpoch {
                 system.add_border(k, &row, &border, weight);
             }
         }
-        system.add_cost(*share * losses);
+        system.add_cost(*share * losses.value());
         system.add_sum(k, &POSITION_AND_CLOCK, &sum);
         let mut sum = RowSum::ZERO;
         for rate in &factors.rates {
@@ -239,8 +249,8 @@ impl Factors {
         seen.phase_weights.resize(self.sights.len(), 1.0);
         for range in &self.ranges {
             let residual = range.linearize(&seen.lines, state, biases_m).residual;
-            let judged = range.judge(residual, pseudorange);
-            seen.phase_weights[usize::from(range.sight)] = judged.direct.max(PHASE_WEIGHT_MIN);
+            let direct = range.direct(residual, pseudorange);
+            seen.phase_weights[usize::from(range.sight)] = direct.max(PHASE_WEIGHT_MIN);
         }
     }
 
@@ -302,10 +312,10 @@ impl Factors {
             if kernels.follow_code {
                 direct = direct.min(before.phase_weights[usize::from(phase.before)]);
             }
-            (link(phase).residual, phase.inverse_sigma, direct)
+            SeenPhase { link: link(phase), inverse_sigma: phase.inverse_sigma, direct }
         }));
         numbers.clear();
-        numbers.extend(phases.iter().map(|(residual, inverse_sigma, _)| -residual / inverse_sigma));
+        numbers.extend(phases.iter().map(|seen| -seen.link.residual / seen.inverse_sigma));
         let middle_m = median(numbers);
         let step = self
             .phase_clock
@@ -313,11 +323,10 @@ impl Factors {
             .map(|(tie, middle_m)| clock_step(tie, middle_m, phases, &kernels.phase));
         let step_m = step.map_or(0.0, |(step_m, _)| step_m);
         let mut sum = LinkSum::ZERO;
-        for (phase, (_, inverse_sigma, direct)) in self.phases.iter().zip(&*phases) {
-            let mut link = link(phase);
-            link.residual += step_m * inverse_sigma;
+        for SeenPhase { link, inverse_sigma, direct } in phases {
+            link.residual += step_m * *inverse_sigma;
             let kernel = kernels.phase.tempered(*direct);
-            sum.add(&link, system.weigh(link.residual, &kernel));
+            sum.add(link, system.weigh(link.residual, &kernel));
         }
         if let (Some(tie), Some((_, information))) = (self.phase_clock, step) {
             let off_m = step_m - tie.mean_m;
@@ -347,26 +356,23 @@ impl Factors {
 }
 
 /// The likeliest step of the phase clock against the pseudorange clock (m), and the information of
-/// its tie at this step (1/m²). `phases` are residual, 1/σ and weight of each phase difference; the
-/// iteration starts at `start_m`.
-fn clock_step(
-    tie: ClockTie,
-    start_m: f64,
-    phases: &[(f64, f64, f64)],
-    kernel: &Kernel,
-) -> (f64, f64) {
+/// its tie at this step (1/m²). The iteration starts at `start_m`.
+fn clock_step(tie: ClockTie, start_m: f64, phases: &[SeenPhase], kernel: &Kernel) -> (f64, f64) {
     let prior = tie.scale_m2.recip();
     let (mut step_m, mut information) = (start_m, prior);
     for _ in 0..CLOCK_ITERATIONS {
         let off_m = step_m - tie.mean_m;
         information = prior / (1.0 + off_m * off_m * prior / 3.0);
         let (mut weight, mut pull) = (information, -information * tie.mean_m);
-        for (residual, inverse_sigma, direct) in phases {
+        for SeenPhase { link: Link { residual, .. }, inverse_sigma, direct } in phases {
             let trust = kernel.tempered(*direct).weight(residual + inverse_sigma * step_m);
             weight += trust * inverse_sigma * inverse_sigma;
             pull += trust * inverse_sigma * residual;
         }
-        step_m = -pull / weight;
+        let before_m = std::mem::replace(&mut step_m, -pull / weight);
+        if (step_m - before_m).powi(2) * weight < CLOCK_TOLERANCE * CLOCK_TOLERANCE {
+            break;
+        }
     }
     (step_m, information)
 }

@@ -130,8 +130,8 @@ impl WindowScratch {
     /// The epoch's measurements, corrected for a receiver at `receiver`; `None` for a position
     /// where no receiver can be.
     fn measure(&mut self, inputs: &EpochInputs<'_>, receiver: Ecef) -> Option<()> {
-        let EpochInputs { epoch, navigation, .. } = *inputs;
-        self.measurements.gather(epoch, navigation, inputs.options());
+        let EpochInputs { epoch, navigation, bands, .. } = *inputs;
+        self.measurements.gather(epoch, navigation, inputs.options(), bands);
         self.measurements.place(receiver, epoch.time, navigation, inputs.options())?;
         if let Some(corrected) = inputs.corrected {
             self.measurements.correct(corrected);

@@ -22,6 +22,7 @@ use crate::models::{
     select_ephemeris_within, state_at_transmission, unstated_delay_m,
 };
 
+use super::bands::ReceiverBands;
 use atmosphere::Atmosphere;
 
 pub(super) use atmosphere::RELATIVE_HUMIDITY;
@@ -127,8 +128,15 @@ impl Measurements {
     /// Takes the usable measurements of `epoch` under `options`, corrected for satellites and
     /// clocks.
     ///
-    /// A satellite or signal that appears twice counts once: the first one.
-    pub fn gather(&mut self, epoch: &Epoch, navigation: &Navigation, options: &PositioningOptions) {
+    /// A satellite or signal that appears twice counts once: the first one. A signal without a
+    /// stated delay is taken if the receiver's bands agree.
+    pub(super) fn gather(
+        &mut self,
+        epoch: &Epoch,
+        navigation: &Navigation,
+        options: &PositioningOptions,
+        bands: ReceiverBands,
+    ) {
         self.list.clear();
         self.without_ephemeris.clear();
         self.ionosphere_fallback = None; // Known once they are placed.
@@ -149,7 +157,7 @@ impl Measurements {
                 self.without_ephemeris.push(satellite);
                 continue;
             };
-            self.list.extend(measurement(epoch.time, ephemeris, observations, options));
+            self.list.extend(measurement(epoch.time, ephemeris, observations, options, bands));
         }
         self.without_ephemeris.sort_unstable();
     }
@@ -212,6 +220,7 @@ impl Measurement {
         epoch: &Epoch,
         navigation: &Navigation,
         options: &PositioningOptions,
+        bands: ReceiverBands,
         agrees: impl Fn(&Self) -> bool,
     ) -> Option<Self> {
         let reach_s = options.ephemeris_beidou_s;
@@ -220,7 +229,7 @@ impl Measurement {
         let atmosphere_m = self.corrected_range_m - self.pseudorange_m;
         let in_force = ephemerides_in_force(navigation, self.satellite, epoch.time, reach_s);
         let others = in_force.filter_map(|ephemeris| {
-            let other = measurement(epoch.time, ephemeris, observations, options)?;
+            let other = measurement(epoch.time, ephemeris, observations, options, bands)?;
             Some(Self {
                 corrected_range_m: other.pseudorange_m + atmosphere_m,
                 variance_m2: self.variance_m2,
@@ -239,12 +248,13 @@ fn measurement(
     ephemeris: &Ephemeris,
     observations: &[Observation],
     options: &PositioningOptions,
+    bands: ReceiverBands,
 ) -> Option<Measurement> {
-    let main = best_of_first_band(ephemeris, observations, options, None)?;
+    let main = best_of_first_band(ephemeris, observations, options, bands, None)?;
     let wants_second =
         options.dual_frequency || options.ionosphere == IonosphereModel::IonosphereFree;
     let second = match wants_second {
-        true => best_of_first_band(ephemeris, observations, options, Some(main.band)),
+        true => best_of_first_band(ephemeris, observations, options, bands, Some(main.band)),
         false => None,
     };
     if options.ionosphere == IonosphereModel::IonosphereFree && second.is_none() {
@@ -341,6 +351,7 @@ fn best_of_first_band<'a>(
     ephemeris: &Ephemeris,
     observations: &'a [Observation],
     options: &PositioningOptions,
+    bands: ReceiverBands,
     other_than: Option<Band>,
 ) -> Option<Candidate<'a>> {
     let usable = observations.iter().filter_map(|observation| {
@@ -356,7 +367,7 @@ fn best_of_first_band<'a>(
         }
         let (group_delay_m, group_delay_m2) = group_delay(ephemeris, observation.code, options)?;
         // A second pseudorange is there to correct the first.
-        if other_than.is_some() && 0.0 < group_delay_m2 {
+        if 0.0 < group_delay_m2 && (other_than.is_some() || !bands.agree()) {
             return None;
         }
         Some(Candidate {

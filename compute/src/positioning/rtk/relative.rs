@@ -286,7 +286,9 @@ impl<S: RelativeSolver> Relative<S> {
         let rover = position(self.solver.frame(), &guess);
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         self.base.difference(inputs, rover, base.station, differences)?;
-        self.solver.tracking().arcs.end_flipped(&differences.list, slipped);
+        let arcs = &mut self.solver.tracking().arcs;
+        arcs.end_flipped(&differences.list, slipped);
+        arcs.follow_code_clock(&mut differences.list);
         let mut reasons = Vec::new();
         if !differences.without_ephemeris.is_empty() {
             let satellites = differences.without_ephemeris.clone();

@@ -316,9 +316,14 @@ impl SinglePoint {
                     wild[miss.index] = false;
                     continue;
                 }
-                let EpochInputs { epoch, navigation, .. } = *inputs;
-                let options = inputs.options();
-                let other = measurement.with_other_ephemeris(epoch, navigation, options, agrees);
+                let EpochInputs { epoch, navigation, bands, .. } = *inputs;
+                let other = measurement.with_other_ephemeris(
+                    epoch,
+                    navigation,
+                    inputs.options(),
+                    bands,
+                    agrees,
+                );
                 wild[miss.index] = other.is_none();
                 if let Some(other) = other {
                     *measurement = other;

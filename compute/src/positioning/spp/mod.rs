@@ -138,7 +138,8 @@ impl SinglePoint {
     }
 
     fn gather(&mut self, inputs: &EpochInputs<'_>) {
-        self.measurements.gather(inputs.epoch, inputs.navigation, inputs.options());
+        let EpochInputs { epoch, navigation, bands, .. } = *inputs;
+        self.measurements.gather(epoch, navigation, inputs.options(), bands);
         self.wild.clear();
         self.wild.resize(self.measurements.list.len(), false);
         (self.ties, self.search.known) = (None, None);

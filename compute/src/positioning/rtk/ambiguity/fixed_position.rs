@@ -407,6 +407,7 @@ mod tests {
                 epochs: 9,
                 half_cycle: false,
                 elevation_rad: elevation,
+                code_less_phase_m: None,
                 held: Some(HeldInteger { datum: 1, cycles: 3 * k as i64 }),
                 found: 1,
                 is_proven: true,

@@ -148,6 +148,7 @@ mod tests {
             epochs: 1,
             half_cycle: false,
             elevation_rad: 1.0,
+            code_less_phase_m: None,
             held: held.map(|(datum, cycles)| HeldInteger { datum, cycles }),
             found: 1,
             is_proven: true,

@@ -415,6 +415,7 @@ mod tests {
             epochs: 5,
             half_cycle: false,
             elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },
+            code_less_phase_m: None,
             held: None,
             found: 0,
             is_proven: false,

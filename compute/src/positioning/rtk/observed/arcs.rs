@@ -4,11 +4,17 @@
 //! border variable of the graph for all its epochs. The variable is free again once no arc and no
 //! epoch refers to it.
 
+use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::code_error::WILD_M;
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
+use crate::positioning::ranging::median;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::losses::Losses;
+
+/// One millisecond of light (m).
+const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
 
 /// An arc that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,6 +36,8 @@ pub(crate) struct CarrierArc {
     pub(crate) half_cycle: bool,
     /// Elevation at the newest phase (rad).
     pub(crate) elevation_rad: f64,
+    /// Pseudorange less phase when both were measured last (m).
+    pub(crate) code_less_phase_m: Option<f64>,
     /// Its integer, once found.
     pub(crate) held: Option<HeldInteger>,
     /// Epochs in a row whose searches have found this integer.
@@ -94,6 +102,8 @@ pub(crate) struct Arcs {
     begun: u64,
     /// The arcs that ended at the newest epoch because their half cycle was resolved.
     flipped: Vec<Flipped>,
+    /// Steps of the pseudoranges' clock that the phases have not made (ms).
+    code_steps_ms: f64,
 }
 
 /// An arc that ended because its half cycle was resolved.
@@ -128,19 +138,20 @@ snapshot_fields!(CarrierArc {
     epochs,
     half_cycle,
     elevation_rad,
+    code_less_phase_m,
     held,
     found,
     is_proven,
 });
 snapshot_fields!(Flipped { satellite, codes, variable, last });
-state_fields!(Arcs { list, in_use, begun, flipped });
+state_fields!(Arcs { list, in_use, begun, flipped, code_steps_ms });
 
 impl Arcs {
     /// Arcs as given, for tests.
     #[cfg(test)]
     pub(crate) fn of(list: Vec<CarrierArc>) -> Self {
         let (in_use, begun) = (vec![true; list.len()], list.len() as u64);
-        Self { in_use, begun, list, flipped: Vec::new() }
+        Self { in_use, begun, list, flipped: Vec::new(), code_steps_ms: 0.0 }
     }
 
     /// The arcs in the order they began.
@@ -219,6 +230,29 @@ impl Arcs {
         })
     }
 
+    /// Moves the phases of an epoch by the steps that the pseudoranges' clock has made and theirs has
+    /// not; finds a new step by the arcs that go on.
+    ///
+    /// Receivers keep their clocks within a millisecond by steps of one. Where phases run on, a new
+    /// arc would begin relative to another clock than the earlier ones. To GPS this is an offset,
+    /// but a millisecond is 562.5 cycles more for each channel of GLONASS, whose differences are
+    /// then not whole.
+    pub(crate) fn follow_code_clock(&mut self, differences: &mut [SingleDifference]) {
+        advance_phases(differences, self.code_steps_ms);
+        let step_m = |difference: &SingleDifference| {
+            let arc = self.list.iter().find(|arc| arc.is_of(difference))?;
+            Some(code_less_phase_m(difference)? - arc.code_less_phase_m?)
+        };
+        let mut steps_m: Vec<f64> = differences.iter().filter_map(step_m).collect();
+        let Some(middle_m) = median(&mut steps_m) else { return };
+        let step_ms = (middle_m / MILLISECOND_M).round();
+        let agrees = |m: &&f64| (**m - step_ms * MILLISECOND_M).abs() <= WILD_M;
+        if step_ms != 0.0 && steps_m.len() < 2 * steps_m.iter().filter(agrees).count() {
+            self.code_steps_ms += step_ms;
+            advance_phases(differences, step_ms);
+        }
+    }
+
     fn end(&mut self, is_over: impl Fn(&CarrierArc) -> bool, ended: &mut Vec<SatelliteId>) {
         self.list.retain(|arc| {
             let over = is_over(arc);
@@ -246,6 +280,7 @@ impl Arcs {
         let arc = self.list.iter_mut().find(|arc| arc.is_of(difference))?;
         let since_s = time - arc.last;
         (arc.last, arc.elevation_rad) = (time, elevation_rad);
+        arc.code_less_phase_m = code_less_phase_m(difference).or(arc.code_less_phase_m);
         arc.epochs += 1;
         Some((arc.variable, since_s))
     }
@@ -270,6 +305,7 @@ impl Arcs {
             epochs: 1,
             half_cycle: difference.half_cycle,
             elevation_rad,
+            code_less_phase_m: code_less_phase_m(difference),
             held: None,
             found: 0,
             is_proven: false,
@@ -340,6 +376,15 @@ impl Arcs {
     }
 }
 
+fn code_less_phase_m(difference: &SingleDifference) -> Option<f64> {
+    Some(difference.pseudorange?.range_m - difference.carrier?.range_m)
+}
+
+fn advance_phases(differences: &mut [SingleDifference], by_ms: f64) {
+    let carriers = differences.iter_mut().filter_map(|difference| difference.carrier.as_mut());
+    carriers.for_each(|carrier| carrier.range_m += by_ms * MILLISECOND_M);
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -394,6 +439,32 @@ mod tests {
         assert!(arcs.is_within(4) && !arcs.is_within(3));
         track(&mut arcs, 2.0, &Losses::default(), &[difference(1, false), lost]);
         assert_eq!(arcs.flips(at(2.0)).count(), 0);
+    }
+
+    /// The code's clock steps forward by 1 ms and back by 2; phases run on. A wild pseudorange of one
+    /// of three arcs is no step. Afterwards the phases have the code's clock.
+    #[test]
+    fn phases_follow_the_steps_of_the_codes_clock() {
+        let mut arcs = Arcs::default();
+        let epoch = |late_m: [f64; 3]| {
+            let of = |number: u8, late_m: f64| {
+                let range_m = 2e7 + 5.0 * f64::from(number) + late_m;
+                let pseudorange = Some(Differenced { range_m, variance_m2: 1.0 });
+                SingleDifference { pseudorange, ..difference(number, false) }
+            };
+            [of(1, late_m[0]), of(2, late_m[1]), of(3, late_m[2])]
+        };
+        let mut moved_ms = |seconds: f64, late_m: [f64; 3]| {
+            let mut differences = epoch(late_m);
+            arcs.follow_code_clock(&mut differences);
+            track(&mut arcs, seconds, &Losses::default(), &differences);
+            (differences[0].carrier.unwrap().range_m - 2e7) / MILLISECOND_M
+        };
+        assert_eq!(moved_ms(0.0, [0.0; 3]), 0.0);
+        assert_eq!(moved_ms(1.0, [1e6, 3.0, -2.0]), 0.0);
+        assert_eq!(moved_ms(2.0, [MILLISECOND_M; 3]), 1.0);
+        assert_eq!(moved_ms(3.0, [MILLISECOND_M + 20.0; 3]), 1.0);
+        assert_eq!(moved_ms(4.0, [-MILLISECOND_M; 3]), -1.0);
     }
 
     /// A phase that lost lock while its half cycle is unknown is no phase, so nothing of this

@@ -4,6 +4,7 @@ use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteI
 use crate::positioning::BasePositionCheck;
 use crate::positioning::aiding::BASE_LATER_S;
 use crate::positioning::aiding::BASE_MOVED_M;
+use crate::positioning::bands::ReceiverBands;
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
@@ -75,7 +76,8 @@ impl BaseMemory {
         if !check.is_done()
             && let Some(newest) = &self.newest
         {
-            let of_base = EpochInputs { epoch: newest, ..*inputs };
+            let bands = ReceiverBands::of(newest);
+            let of_base = EpochInputs { epoch: newest, bands, ..*inputs };
             let alone = single_point.solve(&of_base, Some(stated));
             if let Some(estimate) = alone.estimate {
                 check.add(stated, estimate.position);
