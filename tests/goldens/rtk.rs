@@ -479,6 +479,84 @@ fn integers_of_glonass_are_found() {
     }
 }
 
+/// Of each epoch one pseudorange is a millisecond off: no fix is lost, and the position is the same
+/// to a millimetre.
+#[test]
+fn a_wild_pseudorange_costs_no_fix() {
+    let mut turn = 0;
+    let disturbed = answers_of_a_rover(&mut |epoch, _| {
+        let count = epoch.observations.len();
+        let range_m = epoch.observations[turn % count].pseudorange_m.as_mut();
+        range_m.into_iter().for_each(|range_m| *range_m += 1e-3 * SPEED_OF_LIGHT);
+        turn += 7;
+    });
+    let clean = answers_of_a_rover(&mut |_, _| {});
+    let is_fixed = |solution: &Solution| solution.status == Status::Fixed;
+    assert!(250 < fixed(&clean) && fixed(&clean) <= fixed(&disturbed) + 2, "{}", fixed(&disturbed));
+    for (a, b) in clean.iter().zip(&disturbed).filter(|(a, b)| is_fixed(a) && is_fixed(b)) {
+        let place = |solution: &Solution| solution.estimate.as_ref().unwrap().position;
+        let apart_m = place(a).distance_m(place(b));
+        assert!(apart_m < 1e-3, "{:?}: {apart_m} m apart", a.time);
+    }
+}
+
+/// The receiver's clock steps by a millisecond and its phases run on; ten seconds later all of them
+/// lose lock. The integers of GLONASS are found as before.
+#[test]
+fn phases_that_run_on_over_a_step_of_the_clock_keep_their_integers() {
+    let mut count = 0;
+    let stepped = answers_of_a_rover(&mut |epoch, navigation| {
+        count += 1;
+        if 100 < count {
+            step_clock(epoch, navigation, 1e-3);
+        }
+        for observation in &mut epoch.observations {
+            observation.loss_of_lock |= count == 110;
+        }
+    });
+    let is_gps = |satellite: &&SatelliteId| satellite.constellation == Constellation::Gps;
+    let beyond_gps = stepped[150..].iter().filter(|solution| {
+        let estimate = solution.estimate.as_ref().unwrap();
+        let of_gps = 2 * (estimate.satellites_used.iter().filter(is_gps).count() - 1);
+        solution.status == Status::Fixed
+            && of_gps < estimate.relative.as_ref().unwrap().fixed_ambiguities
+    });
+    let (late, beyond_gps) = (fixed(&stepped[150..]), beyond_gps.count());
+    assert!(140 < late && 50 <= beyond_gps, "{late} fixed, {beyond_gps} with GLONASS");
+}
+
+/// A receiver whose clock is ahead samples earlier: P − Ṗ·Δ + c·Δ, and phases λφ − Ṗ·Δ.
+fn step_clock(epoch: &mut Epoch, navigation: &Navigation, ahead_s: f64) {
+    for observation in &mut epoch.observations {
+        let ephemeris = select_ephemeris(navigation, observation.satellite, epoch.time);
+        let signal = Signal::of(observation.satellite, observation.code);
+        let channel = ephemeris.and_then(Ephemeris::glonass_channel);
+        let wavelength_m = SPEED_OF_LIGHT / signal.frequency_hz(channel).unwrap();
+        let earlier_m = -wavelength_m * observation.doppler_hz.unwrap() * ahead_s;
+        let range_m = observation.pseudorange_m.as_mut();
+        range_m.into_iter().for_each(|m| *m += SPEED_OF_LIGHT * ahead_s - earlier_m);
+        let phase = observation.carrier_phase.as_mut();
+        phase.into_iter().for_each(|phase| phase.0 -= earlier_m / wavelength_m);
+    }
+}
+
+/// Five minutes of a simulated rover with GPS and GLONASS, each epoch disturbed.
+fn answers_of_a_rover(disturb: &mut dyn FnMut(&mut Epoch, &Navigation)) -> Vec<Solution> {
+    let constellations = vec![Constellation::Gps, Constellation::Glonass];
+    let open = Scenario::by_name("rtk-open").unwrap();
+    let simulator = Simulator::new(Scenario { constellations, duration_s: 300.0, ..open }, 2);
+    let navigation = simulator.navigation().clone();
+    let antenna_reference_point = simulator.base_position().unwrap();
+    let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
+    let mut estimator = Estimator::new(general());
+    let answers = simulator.map(|mut epoch| {
+        disturb(&mut epoch.rover, &navigation);
+        let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
+        estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base })
+    });
+    answers.collect()
+}
+
 /// Delays GLONASS's phases by a length per channel.
 fn shift_channels(epoch: &mut Epoch, navigation: &Navigation, slope_m: f64) {
     for observation in &mut epoch.observations {

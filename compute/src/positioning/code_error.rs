@@ -117,7 +117,8 @@ impl CodeError {
     }
 
     /// See [`Likelihood::evaluate`].
-    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
+    #[cfg(test)]
+    fn evaluate(&self, s_m: f64) -> Evaluated {
         self.likelihood().evaluate(s_m)
     }
 

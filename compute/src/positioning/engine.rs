@@ -7,8 +7,7 @@ use crate::gnss::{Epoch, GpsTime, Navigation, Solution};
 use crate::snapshot::Snapshot;
 
 use super::aiding::BaseAiding;
-use super::bands::ReceiverBands;
-use super::measurements::CorrectedRanges;
+use super::measurements::{CorrectedRanges, ReceiverBands};
 use super::setup::Setup;
 
 /// One epoch with all inputs of its solution.

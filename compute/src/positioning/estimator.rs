@@ -8,11 +8,11 @@ use crate::gnss::{Epoch, GpsTime, Solution};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, clone_fields};
 
 use super::aiding::Aiding;
-use super::bands::ReceiverBands;
 use super::ekf::KalmanFilter;
 use super::engine::{Engine, EpochInputs};
 use super::fgo::{SlidingWindow, WholeChain};
 use super::integrity::{complete, complete_all};
+use super::measurements::ReceiverBands;
 use super::rtk::{RtkFilter, RtkPaper, RtkWindow};
 use super::setup::Setup;
 use super::spp::SinglePoints;

@@ -12,7 +12,6 @@
 mod aiding;
 mod answer;
 mod antenna;
-mod bands;
 mod base_position;
 mod chi_square;
 mod clock_jump;
@@ -27,6 +26,7 @@ mod fgo;
 mod geometry;
 mod integrity;
 mod measurements;
+mod median;
 mod phases;
 mod ranging;
 mod receiver;

@@ -13,7 +13,8 @@ use crate::snapshot::{snapshot_fields, state_fields};
 use super::Measurement;
 use super::clock_jump::whole_milliseconds_m;
 use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
-use super::ranging::{median, sighted};
+use super::median::median;
+use super::ranging::sighted;
 
 /// Thermal noise of a phase difference at that C/N0 (m).
 const THERMAL_M: f64 = 0.004;

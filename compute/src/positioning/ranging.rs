@@ -7,6 +7,7 @@ use crate::snapshot::snapshot_fields;
 use super::Measurement;
 use super::code_error::{CodeError, Likelihood, LogProduct, Whitened};
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
+use super::median::median;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 
 /// The measurements above the mask, each with the index of its satellite among the epoch's sights.
@@ -166,7 +167,7 @@ impl Ranging {
         })
     }
 
-    /// Weight and equivalent residual of a whitened residual (model − measured), whose loss is added
+    /// Weight and equivalent residual of a whitened residual (model − measured); its loss is added
     /// to `losses`. They follow from the error model, except in the convex first stage of a solve,
     /// whose kernel is Huber's.
     #[inline]
@@ -300,23 +301,5 @@ impl Judged {
             return Self { residual: 0.0, weight: 0.0, direct };
         }
         Self { residual: -slope / weight, weight, direct }
-    }
-}
-
-/// The lower median; `None` of an empty list. Reorders the list.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len().checked_sub(1)? / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_median_is_one_of_the_values() {
-        assert_eq!(median(&mut [3.0, -1.0, 7.0, 2.0]), Some(2.0));
-        assert_eq!(median(&mut [3.0, -1.0, 7.0]), Some(3.0));
-        assert_eq!(median(&mut []), None);
     }
 }

@@ -9,7 +9,7 @@ use crate::gnss::{SatelliteId, Solution};
 use crate::models::{LookAngles, geometric_range, look_angles, satellite_state};
 use crate::models::{select_ephemeris, select_ephemeris_within};
 
-use super::bands::ReceiverBands;
+use super::measurements::ReceiverBands;
 use super::{Measurement, Measurements};
 
 /// Satellites of one constellation below which a median says nothing of its clock.

@@ -12,7 +12,7 @@
 
 use crate::gnss::SatelliteId;
 use crate::positioning::measurements::CorrectedRanges;
-use crate::positioning::ranging::median;
+use crate::positioning::median::median;
 use crate::snapshot::state_fields;
 
 use super::SingleDifferences;

@@ -34,7 +34,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::code_error::WILD_M;
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
-use super::ranging::median;
+use super::median::median;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 pub(super) use corrected::BaseClock;
 pub(super) use fading::SignalLevels;
@@ -278,8 +278,8 @@ impl SingleDifferences {
     ///
     /// A receiver samples all signals at one time, which its clock offset tells: the median of
     /// pseudoranges less ranges, if most of them agree with it. A pseudorange that is off by more
-    /// than W = 440 m, the most that multipath can cause, gives the phases of its satellite an error
-    /// above a millimetre: ρ̇·W/c with ρ̇ of 800 m/s.
+    /// than W = 440 m, the most that multipath can cause, gives the phases of its satellite an
+    /// error above a millimetre: ρ̇·W/c with ρ̇ of 800 m/s.
     fn receive_at_once(&mut self, scene: &Scene) {
         let Self { satellites, list, numbers, .. } = self;
         let range_m = |state: &SatelliteState, from: &Receiver| {

@@ -13,7 +13,8 @@ use crate::positioning::factors::{
     VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
 };
 use crate::positioning::measurements::aiding_reasons;
-use crate::positioning::ranging::{RangeLosses, Ranging, median};
+use crate::positioning::median::median;
+use crate::positioning::ranging::{RangeLosses, Ranging};
 use crate::positioning::setup::{AnnealedKernels, Kernels, student};
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;

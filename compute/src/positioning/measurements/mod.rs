@@ -7,6 +7,7 @@
 //! pseudorange is ρ + c·δt_r + noise.
 
 mod atmosphere;
+mod bands;
 mod corrected;
 mod signals;
 mod weights;
@@ -22,10 +23,10 @@ use crate::models::{
     select_ephemeris_within, state_at_transmission, unstated_delay_m,
 };
 
-use super::bands::ReceiverBands;
 use atmosphere::Atmosphere;
 
 pub(super) use atmosphere::RELATIVE_HUMIDITY;
+pub(super) use bands::ReceiverBands;
 pub(super) use corrected::CorrectedRanges;
 pub(super) use signals::preference;
 pub(super) use weights::{constellation_factor, receiver_weights};

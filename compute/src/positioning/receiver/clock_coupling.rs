@@ -15,7 +15,7 @@ use crate::gnss::{ObservationCode, SatelliteId};
 use crate::positioning::Measurement;
 use crate::positioning::clock_jump::whole_milliseconds_m;
 use crate::positioning::factors::ClockTie;
-use crate::positioning::ranging::median;
+use crate::positioning::median::median;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::grid::Grid;

@@ -8,7 +8,7 @@ use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
 use crate::positioning::code_error::WILD_M;
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
-use crate::positioning::ranging::median;
+use crate::positioning::median::median;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::losses::Losses;
@@ -230,8 +230,8 @@ impl Arcs {
         })
     }
 
-    /// Moves the phases of an epoch by the steps that the pseudoranges' clock has made and theirs has
-    /// not; finds a new step by the arcs that go on.
+    /// Moves the phases of an epoch by the steps that the pseudoranges' clock has made and theirs
+    /// has not; finds a new step by the arcs that go on.
     ///
     /// Receivers keep their clocks within a millisecond by steps of one. Where phases run on, a new
     /// arc would begin relative to another clock than the earlier ones. To GPS this is an offset,
@@ -441,8 +441,8 @@ mod tests {
         assert_eq!(arcs.flips(at(2.0)).count(), 0);
     }
 
-    /// The code's clock steps forward by 1 ms and back by 2; phases run on. A wild pseudorange of one
-    /// of three arcs is no step. Afterwards the phases have the code's clock.
+    /// The code's clock steps forward by 1 ms and back by 2; phases run on. A wild pseudorange of
+    /// one of three arcs is no step. Afterwards the phases have the code's clock.
     #[test]
     fn phases_follow_the_steps_of_the_codes_clock() {
         let mut arcs = Arcs::default();
@@ -458,7 +458,9 @@ mod tests {
             let mut differences = epoch(late_m);
             arcs.follow_code_clock(&mut differences);
             track(&mut arcs, seconds, &Losses::default(), &differences);
-            (differences[0].carrier.unwrap().range_m - 2e7) / MILLISECOND_M
+            let moved_ms = (differences[0].carrier.unwrap().range_m - 2e7) / MILLISECOND_M;
+            assert!((moved_ms - moved_ms.round()).abs() < 1e-9, "{moved_ms}");
+            moved_ms.round()
         };
         assert_eq!(moved_ms(0.0, [0.0; 3]), 0.0);
         assert_eq!(moved_ms(1.0, [1e6, 3.0, -2.0]), 0.0);

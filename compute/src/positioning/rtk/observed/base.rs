@@ -4,8 +4,8 @@ use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteI
 use crate::positioning::BasePositionCheck;
 use crate::positioning::aiding::BASE_LATER_S;
 use crate::positioning::aiding::BASE_MOVED_M;
-use crate::positioning::bands::ReceiverBands;
 use crate::positioning::engine::EpochInputs;
+use crate::positioning::measurements::ReceiverBands;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
 

@@ -7,15 +7,15 @@
 //! (`code_error`), so a median above W is a delay of the receiver.
 
 use crate::gnss::{Band, Constellation, Epoch, Observation, Signal};
+use crate::positioning::code_error::WILD_M;
+use crate::positioning::median::median;
 use crate::snapshot::snapshot_fields;
 
-use super::code_error::WILD_M;
-use super::measurements::PSEUDORANGES_M;
-use super::ranging::median;
+use super::PSEUDORANGES_M;
 
 /// What the satellites with L1 and L5 have shown.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct ReceiverBands {
+pub(in crate::positioning) struct ReceiverBands {
     /// L5 minus L1 of GPS and QZSS: the median of the newest epoch that had both (m).
     l5_late_m: Option<f64>,
 }
@@ -24,14 +24,14 @@ snapshot_fields!(ReceiverBands { l5_late_m });
 
 impl ReceiverBands {
     /// What one epoch shows.
-    pub(super) fn of(epoch: &Epoch) -> Self {
+    pub(in crate::positioning) fn of(epoch: &Epoch) -> Self {
         let mut bands = Self::default();
         bands.learn(epoch);
         bands
     }
 
     /// Takes the satellites of an epoch that have both bands.
-    pub(super) fn learn(&mut self, epoch: &Epoch) {
+    pub(in crate::positioning) fn learn(&mut self, epoch: &Epoch) {
         let shared = epoch.by_satellite().filter(|(satellite, _)| {
             matches!(satellite.constellation, Constellation::Gps | Constellation::Qzss)
         });
@@ -46,7 +46,7 @@ impl ReceiverBands {
 
     /// Whether a satellite received on L5 alone measures the same clock as those on L1. Not known
     /// before a satellite had both.
-    pub(super) fn agree(&self) -> bool {
+    pub(in crate::positioning) fn agree(&self) -> bool {
         self.l5_late_m.is_some_and(|late_m| late_m.abs() <= WILD_M)
     }
 }
