@@ -463,17 +463,14 @@ fn integers_of_glonass_are_found() {
             let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
             let aiding = Aiding { navigation: &navigation, base };
             let solution = estimator.advance(&epoch.rover, &aiding);
-            let estimate = solution.estimate.unwrap();
+            let estimate = solution.estimate.as_ref().unwrap();
             if solution.status != Status::Fixed {
                 continue;
             }
             let error = LocalFrame::at(epoch.position).to_enu(estimate.position).0.xy().norm();
             assert!(error < 0.1, "{error} m off");
-            let is_gps = |satellite: &&SatelliteId| satellite.constellation == Constellation::Gps;
-            // Two bands, each with a reference.
-            let of_gps = 2 * (estimate.satellites_used.iter().filter(is_gps).count() - 1);
             fixed += 1;
-            beyond_gps += usize::from(of_gps < estimate.relative.unwrap().fixed_ambiguities);
+            beyond_gps += usize::from(is_fixed_beyond_gps(&solution));
         }
         assert!(250 < fixed && least <= beyond_gps, "{slope_m} m: {fixed} fixed, {beyond_gps}");
     }
@@ -514,13 +511,7 @@ fn phases_that_run_on_over_a_step_of_the_clock_keep_their_integers() {
             observation.loss_of_lock |= count == 110;
         }
     });
-    let is_gps = |satellite: &&SatelliteId| satellite.constellation == Constellation::Gps;
-    let beyond_gps = stepped[150..].iter().filter(|solution| {
-        let estimate = solution.estimate.as_ref().unwrap();
-        let of_gps = 2 * (estimate.satellites_used.iter().filter(is_gps).count() - 1);
-        solution.status == Status::Fixed
-            && of_gps < estimate.relative.as_ref().unwrap().fixed_ambiguities
-    });
+    let beyond_gps = stepped[150..].iter().filter(|solution| is_fixed_beyond_gps(solution));
     let (late, beyond_gps) = (fixed(&stepped[150..]), beyond_gps.count());
     assert!(140 < late && 50 <= beyond_gps, "{late} fixed, {beyond_gps} with GLONASS");
 }
@@ -555,6 +546,16 @@ fn answers_of_a_rover(disturb: &mut dyn FnMut(&mut Epoch, &Navigation)) -> Vec<S
         estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base })
     });
     answers.collect()
+}
+
+/// Whether a fix has more integers than GPS on two bands has differences.
+fn is_fixed_beyond_gps(solution: &Solution) -> bool {
+    let estimate = solution.estimate.as_ref().unwrap();
+    let is_gps = |satellite: &&SatelliteId| satellite.constellation == Constellation::Gps;
+    // Two bands, each with a reference.
+    let of_gps = 2 * (estimate.satellites_used.iter().filter(is_gps).count() - 1);
+    let relative = estimate.relative.as_ref().unwrap();
+    solution.status == Status::Fixed && of_gps < relative.fixed_ambiguities
 }
 
 /// Delays GLONASS's phases by a length per channel.
