@@ -109,6 +109,12 @@ impl Kernel {
         }
     }
 
+    /// Width on the side of `s`.
+    #[inline]
+    const fn width(&self, s: f64) -> f64 {
+        if s < 0.0 { self.negative_width } else { self.positive_width }
+    }
+
     /// Loss ρ(s).
     #[cfg(test)]
     pub(crate) fn loss(&self, s: f64) -> f64 {
@@ -118,7 +124,7 @@ impl Kernel {
     /// Weight w(s) = ρ′(s)/s, with its limit `independent_share` at zero.
     #[inline]
     pub(crate) fn weight(&self, s: f64) -> f64 {
-        let width = if s < 0.0 { self.negative_width } else { self.positive_width };
+        let width = self.width(s);
         let weight = match self.law {
             // Without its loss, which has a logarithm.
             Law::Cauchy => width * width / (width * width + s * s),
@@ -129,7 +135,7 @@ impl Kernel {
 
     /// Slope ψ′(s) of the influence function ψ(s) = w(s)·s; negative where a kernel redescends.
     pub(crate) fn pull_slope(&self, s: f64) -> f64 {
-        let width = if s < 0.0 { self.negative_width } else { self.positive_width };
+        let width = self.width(s);
         let ratio = (s / width).powi(2);
         self.independent_share
             * match self.law {
@@ -143,7 +149,7 @@ impl Kernel {
     /// ρ(s) and w(s).
     #[inline]
     pub(crate) fn loss_and_weight(&self, s: f64) -> (f64, f64) {
-        let width = if s < 0.0 { self.negative_width } else { self.positive_width };
+        let width = self.width(s);
         let (loss, weight) = self.law.evaluate(s, width);
         (self.independent_share * loss, self.independent_share * weight)
     }
@@ -177,7 +183,7 @@ impl LossSum {
             self.sum += loss;
             return weight;
         }
-        let width = if s < 0.0 { kernel.negative_width } else { kernel.positive_width };
+        let width = kernel.width(s);
         let (square, limit) = (width * width, width * width + s * s);
         let scale = 0.5 * kernel.independent_share * square;
         if scale != self.scale || PRODUCT_LIMIT < self.product {

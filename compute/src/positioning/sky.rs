@@ -61,7 +61,7 @@ pub fn satellite_views(
 ) -> Vec<SatelliteView> {
     let position = solution.estimate.as_ref().map(|estimate| estimate.position);
     let mut measurements = Measurements::default();
-    measurements.gather(epoch, navigation, options, ReceiverBands::of(epoch));
+    measurements.gather(epoch, navigation, options, ReceiverBands::AGREEING);
     // None: a position where no receiver can be has no residuals either.
     let residuals = position
         .filter(|position| measurements.place(*position, epoch.time, navigation, options).is_some())

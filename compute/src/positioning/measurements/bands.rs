@@ -23,6 +23,9 @@ pub(in crate::positioning) struct ReceiverBands {
 snapshot_fields!(ReceiverBands { l5_late_m });
 
 impl ReceiverBands {
+    /// Bands with one clock, for a view of all signals.
+    pub(in crate::positioning) const AGREEING: Self = Self { l5_late_m: Some(0.0) };
+
     /// What one epoch shows.
     pub(in crate::positioning) fn of(epoch: &Epoch) -> Self {
         let mut bands = Self::default();

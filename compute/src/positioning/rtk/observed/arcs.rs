@@ -4,17 +4,14 @@
 //! border variable of the graph for all its epochs. The variable is free again once no arc and no
 //! epoch refers to it.
 
-use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+use crate::positioning::clock_jump::whole_milliseconds_m;
 use crate::positioning::code_error::WILD_M;
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
 use crate::positioning::median::median;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::losses::Losses;
-
-/// One millisecond of light (m).
-const MILLISECOND_M: f64 = 1e-3 * SPEED_OF_LIGHT;
 
 /// An arc that has not ended.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,8 +99,8 @@ pub(crate) struct Arcs {
     begun: u64,
     /// The arcs that ended at the newest epoch because their half cycle was resolved.
     flipped: Vec<Flipped>,
-    /// Steps of the pseudoranges' clock that the phases have not made (ms).
-    code_steps_ms: f64,
+    /// Sum of the steps of the pseudoranges' clock that the phases have not made (m).
+    code_steps_m: f64,
 }
 
 /// An arc that ended because its half cycle was resolved.
@@ -144,14 +141,14 @@ snapshot_fields!(CarrierArc {
     is_proven,
 });
 snapshot_fields!(Flipped { satellite, codes, variable, last });
-state_fields!(Arcs { list, in_use, begun, flipped, code_steps_ms });
+state_fields!(Arcs { list, in_use, begun, flipped, code_steps_m });
 
 impl Arcs {
     /// Arcs as given, for tests.
     #[cfg(test)]
     pub(crate) fn of(list: Vec<CarrierArc>) -> Self {
         let (in_use, begun) = (vec![true; list.len()], list.len() as u64);
-        Self { in_use, begun, list, flipped: Vec::new(), code_steps_ms: 0.0 }
+        Self { in_use, begun, list, flipped: Vec::new(), code_steps_m: 0.0 }
     }
 
     /// The arcs in the order they began.
@@ -238,18 +235,18 @@ impl Arcs {
     /// but a millisecond is 562.5 cycles more for each channel of GLONASS, whose differences are
     /// then not whole.
     pub(crate) fn follow_code_clock(&mut self, differences: &mut [SingleDifference]) {
-        advance_phases(differences, self.code_steps_ms);
-        let step_m = |difference: &SingleDifference| {
+        lengthen_phases(differences, self.code_steps_m);
+        let change_m = |difference: &SingleDifference| {
             let arc = self.list.iter().find(|arc| arc.is_of(difference))?;
             Some(code_less_phase_m(difference)? - arc.code_less_phase_m?)
         };
-        let mut steps_m: Vec<f64> = differences.iter().filter_map(step_m).collect();
-        let Some(middle_m) = median(&mut steps_m) else { return };
-        let step_ms = (middle_m / MILLISECOND_M).round();
-        let agrees = |m: &&f64| (**m - step_ms * MILLISECOND_M).abs() <= WILD_M;
-        if step_ms != 0.0 && steps_m.len() < 2 * steps_m.iter().filter(agrees).count() {
-            self.code_steps_ms += step_ms;
-            advance_phases(differences, step_ms);
+        let mut changes_m: Vec<f64> = differences.iter().filter_map(change_m).collect();
+        let Some(middle_m) = median(&mut changes_m) else { return };
+        let step_m = whole_milliseconds_m(middle_m);
+        let agree = changes_m.iter().filter(|m| (**m - step_m).abs() <= WILD_M).count();
+        if step_m != 0.0 && changes_m.len() < 2 * agree {
+            self.code_steps_m += step_m;
+            lengthen_phases(differences, step_m);
         }
     }
 
@@ -380,15 +377,16 @@ fn code_less_phase_m(difference: &SingleDifference) -> Option<f64> {
     Some(difference.pseudorange?.range_m - difference.carrier?.range_m)
 }
 
-fn advance_phases(differences: &mut [SingleDifference], by_ms: f64) {
+fn lengthen_phases(differences: &mut [SingleDifference], by_m: f64) {
     let carriers = differences.iter_mut().filter_map(|difference| difference.carrier.as_mut());
-    carriers.for_each(|carrier| carrier.range_m += by_ms * MILLISECOND_M);
+    carriers.for_each(|carrier| carrier.range_m += by_m);
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::gnss::Constellation;
+    use crate::gnss::constants::LIGHT_MILLISECOND_M;
     use crate::positioning::differencing::Differenced;
 
     fn difference(number: u8, half_cycle: bool) -> SingleDifference {
@@ -458,15 +456,15 @@ mod tests {
             let mut differences = epoch(late_m);
             arcs.follow_code_clock(&mut differences);
             track(&mut arcs, seconds, &Losses::default(), &differences);
-            let moved_ms = (differences[0].carrier.unwrap().range_m - 2e7) / MILLISECOND_M;
+            let moved_ms = (differences[0].carrier.unwrap().range_m - 2e7) / LIGHT_MILLISECOND_M;
             assert!((moved_ms - moved_ms.round()).abs() < 1e-9, "{moved_ms}");
             moved_ms.round()
         };
         assert_eq!(moved_ms(0.0, [0.0; 3]), 0.0);
         assert_eq!(moved_ms(1.0, [1e6, 3.0, -2.0]), 0.0);
-        assert_eq!(moved_ms(2.0, [MILLISECOND_M; 3]), 1.0);
-        assert_eq!(moved_ms(3.0, [MILLISECOND_M + 20.0; 3]), 1.0);
-        assert_eq!(moved_ms(4.0, [-MILLISECOND_M; 3]), -1.0);
+        assert_eq!(moved_ms(2.0, [LIGHT_MILLISECOND_M; 3]), 1.0);
+        assert_eq!(moved_ms(3.0, [LIGHT_MILLISECOND_M + 20.0; 3]), 1.0);
+        assert_eq!(moved_ms(4.0, [-LIGHT_MILLISECOND_M; 3]), -1.0);
     }
 
     /// A phase that lost lock while its half cycle is unknown is no phase, so nothing of this
