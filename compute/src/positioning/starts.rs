@@ -16,8 +16,9 @@ pub(super) const UNKNOWN_SPEED_M_S: f64 = 50.0;
 pub(super) const FRAME_LIMIT_M: f64 = 1e5;
 /// Time for which most pseudoranges may fail the test before a filter restarts (s).
 pub(super) const LOST_S: f64 = 10.0;
-/// Minimum number of epochs in a window, however far apart they are.
-pub(super) const WINDOW_EPOCHS_MIN: usize = 10;
+/// Minimum number of epochs in a window, however far apart they are: with fewer, an epoch is
+/// marginalised before others have shown which of its pseudoranges are reflections.
+pub(super) const WINDOW_EPOCHS_MIN: usize = 5;
 
 /// A local frame, used before any position is known.
 pub(super) fn start_frame() -> LocalFrame {
