@@ -187,40 +187,6 @@ impl Likelihood {
     }
 }
 
-/// Σ ln p, with one logarithm for about twelve densities, of their product.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct LogProduct {
-    sum: f64,
-    product: f64,
-}
-
-impl LogProduct {
-    /// Of no densities.
-    pub(super) const ZERO: Self = Self { sum: 0.0, product: 1.0 };
-
-    /// Multiplies by a density, which is not below ε/W.
-    #[inline]
-    pub(super) fn add(&mut self, density: f64) {
-        // ε/W is 0.02/400 m, so the product of twelve is at least 10⁻⁵².
-        self.product *= density;
-        if self.product < 1e-50 {
-            *self = Self { sum: self.value(), product: 1.0 };
-        }
-    }
-
-    /// Σ ln p.
-    pub(super) fn value(&self) -> f64 {
-        self.sum + self.product.ln()
-    }
-}
-
-/// Σ ln p of densities, none of which is below ε/W.
-pub(super) fn log_product(densities: impl Iterator<Item = f64>) -> f64 {
-    let mut product = LogProduct::ZERO;
-    densities.for_each(|density| product.add(density));
-    product.value()
-}
-
 /// φ(z)/φ(0), λ·E and h at z = s/σ, with r = σ/λ.
 ///
 /// The exponential of E is φ(z)/φ(u), u = z − r. With erfcx(x) = exp(x²)·erfc(x), the side u ≤ 0

@@ -36,6 +36,17 @@ impl Draws {
     }
 }
 
+/// ln of the probability that no subset of those drawn contains only sound items: 0.1 %.
+const LN_MISSED: f64 = -6.907_755_278_982_137;
+
+/// Number of subsets of this `size` of which one contains only sound items with a probability of
+/// 99.9 %, if this fraction of the items is `sound` (Fischler & Bolles 1981, *Random sample
+/// consensus*, CACM 24). Infinite where none is.
+pub(super) fn subsets_needed(sound: f64, size: usize) -> f64 {
+    let chance = sound.powi(size as i32);
+    LN_MISSED / (-chance).ln_1p()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -44,6 +55,15 @@ mod tests {
     #[test]
     fn the_first_draw_is_the_published_one() {
         assert_eq!(Draws::new(0).below(1000), 535);
+    }
+
+    /// 0.9⁴ = 0.656, and ln 0.001/ln 0.344 = 6.5; 0.5⁴ = 1/16, and ln 0.001/ln(15/16) = 107.
+    #[test]
+    fn subsets_are_needed_until_one_is_sound() {
+        assert!((subsets_needed(0.9, 4) - 6.47).abs() < 0.01, "{}", subsets_needed(0.9, 4));
+        assert_eq!(subsets_needed(0.5, 4).ceil(), 108.0);
+        assert_eq!(subsets_needed(1.0, 4), 0.0);
+        assert_eq!(subsets_needed(0.0, 4), f64::INFINITY);
     }
 
     #[test]

@@ -25,6 +25,7 @@ mod factors;
 mod fgo;
 mod geometry;
 mod integrity;
+mod log_product;
 mod measurements;
 mod median;
 mod phases;

@@ -5,8 +5,9 @@ use crate::graph::{Kernel, Law, Row};
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
-use super::code_error::{CodeError, Likelihood, LogProduct, Whitened};
+use super::code_error::{CodeError, Likelihood, Whitened};
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
+use super::log_product::LogProduct;
 use super::median::median;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 

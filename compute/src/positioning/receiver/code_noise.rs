@@ -24,7 +24,8 @@ use crate::snapshot::snapshot_fields;
 
 use super::grid::Grid;
 use super::kept;
-use crate::positioning::code_error::{CodeError, LOWEST_SINE, extra_path_m, log_product};
+use crate::positioning::code_error::{CodeError, LOWEST_SINE, extra_path_m};
+use crate::positioning::log_product::log_product;
 
 /// First value of the grid, and its step (dB-Hz).
 const FIRST_DB_HZ: f64 = 20.0;

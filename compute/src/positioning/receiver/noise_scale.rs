@@ -5,6 +5,7 @@
 //! freedom, whose tails cover multipath and slips. n residuals of a solution with p unknowns are
 //! multiplied by √(n/(n − p)).
 
+use crate::positioning::log_product::log_product;
 use crate::snapshot::snapshot_fields;
 
 use super::grid::Grid;
@@ -59,10 +60,9 @@ impl NoiseScale {
         let inflation = count as f64 / (count - UNKNOWNS) as f64 * present * present;
         self.octave.update(|index| {
             let variance = (2.0 * octaves(index)).exp2();
-            let loss = |z: &f64| {
-                0.5 * variance.ln() + 2.0 * (z * z * inflation / (3.0 * variance)).ln_1p()
-            };
-            -whitened.iter().map(loss).sum::<f64>()
+            let scale = inflation / (3.0 * variance);
+            let tails = whitened.iter().map(|z| 1.0 + z * z * scale);
+            -0.5 * count as f64 * variance.ln() - 2.0 * log_product(tails)
         });
     }
 }

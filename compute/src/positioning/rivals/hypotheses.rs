@@ -24,13 +24,13 @@
 use nalgebra::{Matrix4, Vector3, Vector4};
 
 use crate::gnss::Constellation;
-use crate::positioning::draws::Draws;
+use crate::positioning::draws::{Draws, subsets_needed};
 
 use super::evidence::{Evidence, Knowledge, Noise, Normal, Offset, Pooled, UNKNOWNS, Unknowns};
 
-/// Number of subsets drawn. If half of the satellites are direct, at least one subset of four is
-/// all direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
-const SUBSETS: usize = 40;
+/// Most subsets drawn. If half of the satellites are direct, at least one subset of four is all
+/// direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
+const SUBSETS_MAX: usize = 40;
 /// Most draws of a satellite for one subset.
 const DRAWS_MAX: usize = 60;
 /// Number of candidates that are refined.
@@ -144,7 +144,7 @@ impl<'a> Search<'a> {
     /// other, best first.
     fn candidates(&mut self) -> Vec<Offset> {
         let mut best: Vec<Offset> = Vec::with_capacity(REFINED + 1);
-        for _ in 0..SUBSETS {
+        for _ in 0..self.subsets() {
             self.draw();
             let Some(x) = self.solved() else { continue };
             let enough = best.get(REFINED - 1).map_or(f64::INFINITY, Offset::cost);
@@ -153,6 +153,17 @@ impl<'a> Search<'a> {
             }
         }
         best
+    }
+
+    /// Number of subsets to draw: until one contains only direct signals.
+    fn subsets(&self) -> usize {
+        let direct = self.evidence.pool().iter().map(|p| 1.0 - self.evidence.error(p).reflected);
+        // Signals are drawn by this probability, so a drawn one is direct with its weighted mean.
+        let squares: f64 = direct.map(|probability| probability.powi(2)).sum();
+        let sum = self.directs.last().copied().unwrap_or(0.0);
+        let needed = subsets_needed(squares / sum, 3 + clocks(self.evidence));
+        // Also where it is infinite.
+        (needed.ceil() as usize).clamp(1, SUBSETS_MAX)
     }
 
     /// Draws residuals of different satellites until they determine a position and their clocks.

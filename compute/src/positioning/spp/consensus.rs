@@ -21,7 +21,7 @@ use crate::gnss::{Constellation, Ecef, Reason};
 use crate::models::geometric_range;
 use crate::positioning::Measurement;
 use crate::positioning::code_error::WILD_M;
-use crate::positioning::draws::Draws;
+use crate::positioning::draws::{Draws, subsets_needed};
 
 use super::exclusion::REDUNDANCY_MIN;
 use super::least_squares::{Row, Step, Tie};
@@ -32,8 +32,6 @@ const LATE_M: f64 = 40.0;
 /// Maximum number of subsets. If 51 % of the satellites are good, one of the subsets contains only
 /// good ones with a probability of 99.9 %.
 const SUBSETS_MAX: usize = 100;
-/// ln of the probability that no subset contains only good satellites.
-const LN_MISSED: f64 = -6.907_755_278_982_137;
 /// Steps of a refinement.
 const REFINEMENTS: usize = 5;
 /// Tolerance of a known clock (standard deviations).
@@ -164,8 +162,7 @@ impl SinglePoint {
             if best.as_ref().is_none_or(|best| candidate.cost < best.cost) {
                 let candidate = self.refined(candidate);
                 let sound = candidate.agreeing as f64 / self.measurements.list.len() as f64;
-                let chance = sound.powi(self.search.subset.len() as i32);
-                needed = LN_MISSED / (-chance).ln_1p();
+                needed = subsets_needed(sound, self.search.subset.len());
                 best = Some(candidate);
             }
         }
