@@ -23,6 +23,8 @@ struct Shared {
     next: Mutex<Vec<Next>>,
     is_down: AtomicBool,
     written: Mutex<Vec<i64>>,
+    /// Number of batches of each transaction.
+    sizes: Mutex<Vec<usize>>,
     connections: AtomicU64,
 }
 
@@ -65,6 +67,7 @@ impl Connect for Fake {
             _ => {
                 let mut written = self.0.written.lock().unwrap();
                 written.extend(batches.iter().map(|batch| batch.session.0));
+                self.0.sizes.lock().unwrap().push(batches.len());
                 Ok(Vec::new())
             }
         }
@@ -75,6 +78,7 @@ const TIMING: Timing = Timing {
     deadline: Duration::from_millis(100),
     heartbeat: Duration::from_millis(20),
     retry: Duration::from_millis(5),
+    spacing: Duration::from_millis(50),
 };
 
 async fn started() -> (Committer, Arc<Shared>) {
@@ -106,6 +110,25 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
     assert_eq!(*shared.written.lock().unwrap(), [0, 1, 2, 3]);
     assert_eq!(shared.connections.load(Ordering::SeqCst), 5);
     assert_eq!(committer.health().panics, 1);
+}
+
+/// Two batches 2 ms apart are two transactions, and one soon after a transaction of several.
+#[tokio::test]
+async fn batches_wait_for_others_under_load() {
+    let (committer, shared) = started().await;
+    let apart = async |first| {
+        let second = async {
+            sleep(Duration::from_millis(2)).await;
+            committer.commit(batch(first + 1)).await
+        };
+        let (first, second) = tokio::join!(committer.commit(batch(first)), second);
+        first.and(second).unwrap();
+    };
+    apart(1).await;
+    let several = (3..8).map(|session| committer.commit(batch(session)));
+    futures::future::try_join_all(several).await.unwrap();
+    apart(8).await;
+    assert_eq!(*shared.sizes.lock().unwrap(), [1, 1, 5, 2]);
 }
 
 /// Batches that wait form transactions of some megabytes.
