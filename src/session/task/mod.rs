@@ -366,7 +366,10 @@ impl Task {
         let row = self.begin(active).await;
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if is_outdated || active.is_none() {
-            let read = self.active_configuration(row.filter(|_| !is_outdated)).await;
+            let row = row.filter(|_| !is_outdated);
+            // Nobody else writes its epochs between the read of the row and this task.
+            let is_new = row.as_ref().is_some_and(|row| row.last_seq.is_none());
+            let read = self.active_configuration(row).await;
             // Read again by the next batch.
             let failed = |_: &SessionError| self.outdated.store(true, Ordering::Release);
             let configuration = Arc::new(read.inspect_err(failed)?);
@@ -378,7 +381,10 @@ impl Task {
                 current.configuration = configuration;
                 current.epoch_time = None;
             } else {
-                let committed = Arc::new(self.restored(&configuration).await?);
+                let committed = Arc::new(match is_new {
+                    true => State::new(&configuration.estimation),
+                    false => self.restored(&configuration).await?,
+                });
                 let epoch_time = committed.epoch_time();
                 self.counters.meters.restores.inc();
                 self.live.publish_unknown(self.key);
