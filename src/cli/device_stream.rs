@@ -90,8 +90,8 @@ pub(super) enum Next {
 }
 
 impl<C: Cargo> DeviceStream<C> {
-    /// The streams of a session; the first opens when something is sent. `answered` is the number
-    /// of the last epoch whose answer the device has, 0 if it has none.
+    /// The streams of a session; the first opens by [`Self::open`], or when something is sent.
+    /// `answered` is the number of the last epoch whose answer the device has, 0 if it has none.
     pub(super) fn new(
         (connection, cargo): (&Connection, C),
         session: &str,
@@ -110,6 +110,14 @@ impl<C: Cargo> DeviceStream<C> {
             retry: connection.retry(),
             breaks: 0,
         }
+    }
+
+    /// Opens the first stream.
+    ///
+    /// # Errors
+    /// As of [`Self::next`].
+    pub(super) async fn open(&mut self) -> Result<(), Failure> {
+        if self.open.is_none() { self.reopen().await } else { Ok(()) }
     }
 
     /// Whether everything that was sent is durable or refused.

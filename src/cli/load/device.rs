@@ -1,7 +1,7 @@
 //! One simulated device.
 
 use std::sync::Arc;
-use tokio::time::Instant;
+use std::time::Duration;
 
 use crate::cli::Failure;
 use crate::cli::cargo::{Cargo, Epochs, RawBytes};
@@ -9,7 +9,7 @@ use crate::cli::connection::Connection;
 use crate::cli::device_stream::{Acknowledged, DeviceStream, Next};
 use crate::contract::v1;
 
-use super::schedule::Schedule;
+use super::schedule::{Beginning, Schedule};
 use super::traffic::{Content, Traffic};
 
 /// A device with its session.
@@ -36,12 +36,12 @@ pub(super) struct Sent {
 }
 
 impl Device {
-    /// Sends all epochs.
+    /// Opens the stream, and sends all epochs from the common beginning on.
     pub(super) async fn run(
         self,
         traffic: Arc<Traffic>,
         schedule: Schedule,
-        begin: Instant,
+        beginning: Arc<Beginning>,
     ) -> Sent {
         let mut sent = Sent {
             session: self.session.clone(),
@@ -49,7 +49,7 @@ impl Device {
             ..Sent::default()
         };
         let offset = traffic.offset(self.index);
-        let due = |epoch| begin + schedule.due(self.index, epoch);
+        let due = |epoch| schedule.due(self.index, epoch);
         let done = match &traffic.content {
             Content::Epochs(epochs) => {
                 let messages = epochs[offset..].iter().take(schedule.epochs);
@@ -57,7 +57,7 @@ impl Device {
                     let epochs = vec![v1::Epoch { seq, ..epoch.clone() }];
                     (v1::StreamRequest { opening: None, epochs }, seq)
                 });
-                self.play(Epochs, messages, due, &mut sent).await
+                self.play(Epochs, messages, (due, &beginning), &mut sent).await
             }
             Content::Raw(frames) => {
                 let mut offset_bytes = 0;
@@ -70,7 +70,7 @@ impl Device {
                         v1::StreamRawRequest { opening: None, offset, content, end: false };
                     (request, offset_bytes)
                 });
-                self.play(RawBytes { near: None }, messages, due, &mut sent).await
+                self.play(RawBytes { near: None }, messages, (due, &beginning), &mut sent).await
             }
         };
         if let Err(failure) = done {
@@ -83,16 +83,22 @@ impl Device {
         &self,
         cargo: C,
         messages: impl Iterator<Item = (C::Request, u64)>,
-        due: impl Fn(usize) -> Instant,
+        (due, beginning): (impl Fn(usize) -> Duration, &Beginning),
         sent: &mut Sent,
     ) -> Result<(), Failure> {
         let answers = v1::Answers::Summary;
         let mut stream = DeviceStream::new((&self.connection, cargo), &self.session, answers, 0);
+        let permit = beginning.opening.acquire().await;
+        let opened = stream.open().await;
+        drop(permit);
+        let begin = beginning.at().await; // Also if it is not open: the others wait for it.
+        opened?;
         for (number, (request, through)) in messages.enumerate() {
-            while let Next::Acknowledged(acknowledged) = stream.next(Some(due(number))).await? {
+            let due = begin + due(number);
+            while let Next::Acknowledged(acknowledged) = stream.next(Some(due)).await? {
                 sent.count(acknowledged);
             }
-            stream.send(request, 1, through, due(number));
+            stream.send(request, 1, through, due);
         }
         sent.breaks = stream.close(|acknowledged| sent.count(acknowledged)).await?;
         Ok(())

@@ -21,7 +21,7 @@ use crate::refusal::Code;
 
 use self::device::{Device, Sent};
 use self::report::Report;
-use self::schedule::Schedule;
+use self::schedule::{Beginning, Schedule};
 use self::traffic::Traffic;
 use super::Failure;
 use super::connection::Connection;
@@ -36,9 +36,9 @@ const AT_ONCE: usize = 32;
 /// Sends the epochs of many simulated devices to a service, and checks every acknowledgement in its
 /// store.
 ///
-/// Each device has a session and a stream, which it opens again after a break. A delay runs from
-/// when an epoch is due to its acknowledgement, so a service that falls behind shows in the delays.
-/// All devices observe one simulated drive, each from another second of it on.
+/// Each device has a session and a stream, which it opens again after a break. They begin when all
+/// streams are open. A delay runs from when an epoch is due to its acknowledgement, so a service
+/// that falls behind shows in the delays, with the first epoch of each session. All devices observe one simulated drive, each from another second of it on.
 #[derive(Clone, Debug, Args)]
 pub(super) struct LoadArguments {
     /// The service; https:// for TLS.
@@ -128,17 +128,22 @@ async fn load(arguments: LoadArguments) -> Result<(), Failure> {
     }
     let devices = created(&arguments, &connections, &new).await?;
     eprintln!("{} sessions created", devices.len());
-    let used = || Usage::of(&arguments.pid?.to_string()).processor_s;
-    let (begin, used_before) = (Instant::now() + Duration::from_secs(1), used());
+    let (opening, beginning) = (Instant::now(), Arc::new(Beginning::new(devices.len())));
     let mut running = JoinSet::new();
     for device in devices {
-        running.spawn(device.run(Arc::clone(&traffic), schedule, begin));
+        running.spawn(device.run(Arc::clone(&traffic), schedule, Arc::clone(&beginning)));
     }
+    let begin = beginning.at().await;
+    let opened = opening.elapsed();
+    eprintln!("streams open after {:.1} s", opened.as_secs_f64());
+    let used = || Usage::of(&arguments.pid?.to_string()).processor_s;
+    let used_before = used();
     let sent: Vec<Sent> = running.join_all().await;
     let elapsed = begin.elapsed();
     let processor_s = used().zip(used_before).map(|(after, before)| after - before);
     let verified = verification::verify(sent, &connections).await?;
-    let report = Report::new(&arguments, elapsed, verified).with_processor_time(processor_s);
+    let report =
+        Report::new(&arguments, (opened, elapsed), verified).with_processor_time(processor_s);
     report.print(arguments.json);
     report.check()
 }

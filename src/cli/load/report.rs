@@ -18,6 +18,9 @@ const SHOWN: usize = 10;
 #[serde(rename_all = "camelCase")]
 pub(super) struct Report {
     devices: u32,
+    /// Until all streams were open, before the first epoch was due (s).
+    open_seconds: f64,
+    /// From the first epoch on (s).
     seconds: f64,
     /// Acknowledged epochs.
     epochs: usize,
@@ -48,12 +51,17 @@ pub(super) struct Report {
 }
 
 impl Report {
-    pub(super) fn new(arguments: &LoadArguments, elapsed: Duration, verified: Verified) -> Self {
+    pub(super) fn new(
+        arguments: &LoadArguments,
+        (opened, elapsed): (Duration, Duration),
+        verified: Verified,
+    ) -> Self {
         let Verified { mut delays_ms, errors, .. } = verified;
         delays_ms.sort_unstable_by(f32::total_cmp);
         let seconds = elapsed.as_secs_f64();
         Self {
             devices: arguments.devices,
+            open_seconds: opened.as_secs_f64(),
             seconds,
             epochs: verified.epochs,
             epochs_per_second: verified.epochs as f64 / seconds,

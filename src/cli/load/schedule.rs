@@ -1,6 +1,15 @@
-//! When the devices of a load send.
+//! When the devices of a load open their streams, and when they send.
 
+use std::sync::OnceLock;
 use std::time::Duration;
+
+use tokio::sync::{Barrier, Semaphore};
+use tokio::time::Instant;
+
+/// Streams that are opened at the same time.
+const OPENING: usize = 32;
+/// From when the last stream is open to the beginning.
+const LEAD: Duration = Duration::from_secs(1);
 
 /// When devices send.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,9 +35,42 @@ impl Schedule {
     }
 }
 
+/// The common beginning of all devices, once each has opened its stream.
+pub(super) struct Beginning {
+    /// Permits to open a stream.
+    pub(super) opening: Semaphore,
+    opened: Barrier,
+    at: OnceLock<Instant>,
+}
+
+impl Beginning {
+    /// For this many devices, and one who waits for them.
+    pub(super) fn new(devices: usize) -> Self {
+        let (opening, opened) = (Semaphore::new(OPENING), Barrier::new(devices + 1));
+        Self { opening, opened, at: OnceLock::new() }
+    }
+
+    /// When all devices begin. Each of them waits for the others here.
+    pub(super) async fn at(&self) -> Instant {
+        self.opened.wait().await;
+        *self.at.get_or_init(|| Instant::now() + LEAD)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Nobody begins before the last one is there, and all begin at the same time.
+    #[tokio::test]
+    async fn devices_begin_together() {
+        let beginning = Beginning::new(2);
+        let others = async { tokio::join!(beginning.at(), beginning.at()) };
+        let mut others = std::pin::pin!(others);
+        assert!(futures::poll!(&mut others).is_pending());
+        let (last, (first, second)) = tokio::join!(beginning.at(), others);
+        assert_eq!((first, second), (last, last));
+    }
 
     #[test]
     fn devices_are_spread_over_the_interval() {
