@@ -1,9 +1,12 @@
 //! `graphfix worker`: runs the jobs of a service.
 
+use std::io;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
+use std::{env, process};
 
 use clap::Args;
-use rustix::process::{Resource, Rlimit, nice, setrlimit};
+use rustix::process::{Resource, Rlimit, getrlimit, nice, setrlimit};
 
 use crate::app;
 use crate::config::ServiceConfiguration;
@@ -86,9 +89,9 @@ impl WorkerArguments {
 /// that of a service on Postgres.
 pub(super) fn run(arguments: WorkerArguments) -> Result<(), Failure> {
     let (memory_mb, niceness) = (arguments.memory, arguments.nice);
+    limit(memory_mb)?;
     let configuration = arguments.configuration()?;
     host::start_log(&configuration)?;
-    limit(memory_mb)?;
     if let Err(error) = nice(i32::from(niceness)) {
         tracing::warn!(%error, "the priority stays as it is");
     }
@@ -103,10 +106,20 @@ pub(super) fn run(arguments: WorkerArguments) -> Result<(), Failure> {
     })
 }
 
-/// Limits the memory of this process.
+/// Limits the memory of this process: starts the program again, under the limit.
+///
+/// An allocator reserves memory at its first allocation. What it reserves before there is a limit
+/// could not be limited any more.
 fn limit(memory_mb: u64) -> Result<(), Failure> {
     let bytes = Some(memory_mb.saturating_mul(1 << 20));
     let limits = Rlimit { current: bytes, maximum: bytes };
-    let refused = |error| Failure::of(Code::MemoryNotLimited, format!("{memory_mb} MB: {error}"));
-    setrlimit(Resource::Data, limits).map_err(refused)
+    let of = getrlimit(Resource::Data);
+    if (of.current, of.maximum) == (bytes, bytes) {
+        return Ok(());
+    }
+    let refused =
+        |error: io::Error| Failure::of(Code::MemoryNotLimited, format!("{memory_mb} MB: {error}"));
+    setrlimit(Resource::Data, limits).map_err(|error| refused(error.into()))?;
+    let program = env::current_exe().map_err(refused)?;
+    Err(refused(process::Command::new(program).args(env::args_os().skip(1)).exec()))
 }

@@ -220,7 +220,7 @@ async fn held_kb(mode: &str) -> f64 {
         let satellites = |r: &v1::EpochResult| r.solution.as_ref().unwrap().satellites_used.len();
         used = results.iter().map(satellites).sum::<usize>() / results.len();
     }
-    let grown_kb = (resident_kb(server.process()) - before_kb) as f64;
+    let grown_kb = resident_kb(server.process()) as f64 - before_kb as f64;
     let held_kb = grown_kb / SESSIONS as f64;
     eprintln!("{mode}: {held_kb:.1} kB resident for each idle session, {used} satellites an epoch");
     held_kb

@@ -53,8 +53,8 @@ pub(super) const GALWAY_PAPER_AT_ONCE: [f64; 2] = [1.095, 0.067];
 pub(super) const GALWAY_PAPER_BATCH: [f64; 2] = [1.041, 0.066];
 /// Six simulated drives in streets: per cent of the epochs that are fixed at once, and per cent of
 /// these fixes that are more than 10 cm off.
-pub(super) const CANYON_FIXED_PERCENT: f64 = 52.3;
-pub(super) const CANYON_WRONG_PERCENT: f64 = 0.37;
+pub(super) const CANYON_FIXED_PERCENT: f64 = 50.5;
+pub(super) const CANYON_WRONG_PERCENT: f64 = 0.11;
 /// By `fix_probability`; and per cent of the epochs without integers whose position is inside the
 /// stated 95 % ellipse.
 pub(super) const CANYON_STATED_WRONG_PERCENT: f64 = 0.76;

@@ -38,7 +38,8 @@ const AT_ONCE: usize = 32;
 ///
 /// Each device has a session and a stream, which it opens again after a break. They begin when all
 /// streams are open. A delay runs from when an epoch is due to its acknowledgement, so a service
-/// that falls behind shows in the delays, with the first epoch of each session. All devices observe one simulated drive, each from another second of it on.
+/// that falls behind shows in the delays. All devices observe one simulated drive, each from
+/// another second of it on.
 #[derive(Clone, Debug, Args)]
 pub(super) struct LoadArguments {
     /// The service; https:// for TLS.
