@@ -35,7 +35,7 @@ pub(super) struct LegacyState {
 impl LegacyState {
     pub(super) fn new() -> Self {
         let signals = 2 * SATELLITES * BANDS;
-        Self { locks: LockTable::new(signals), differences: vec![None; signals] }
+        Self { locks: LockTable::default(), differences: vec![None; signals] }
     }
 
     /// Decodes 1002 and 1004, the latter with L2.

@@ -54,25 +54,36 @@ impl LockTime {
     }
 }
 
-/// The last lock time of each signal.
-#[derive(Debug)]
+/// A phase of a signal, by the signal's number.
+#[derive(Clone, Copy, Debug)]
+struct Phase {
+    signal: usize,
+    time: GpsTime,
+    lock: LockTime,
+}
+
+/// The last lock time of each signal that was observed: of some hundred out of 14,000, and a service
+/// has a table for each receiver.
+#[derive(Debug, Default)]
 pub(super) struct LockTable {
-    last: Vec<Option<(GpsTime, LockTime)>>,
+    /// In order of the signals.
+    last: Vec<Phase>,
 }
 
 impl LockTable {
-    pub(super) fn new(signals: usize) -> Self {
-        Self { last: vec![None; signals] }
-    }
-
     /// Whether lock may have been lost since the last phase of the signal, and stores this phase;
     /// true for its first phase.
-    pub(super) fn is_lost(&mut self, signal: usize, time: GpsTime, now: LockTime) -> bool {
-        match self.last[signal].replace((time, now)) {
-            None => true,
-            Some((last_time, last)) => {
-                let since_ms = (time - last_time) * 1e3;
-                now.least_ms < last.least_ms || (now.below_ms as f64) <= since_ms
+    pub(super) fn is_lost(&mut self, signal: usize, time: GpsTime, lock: LockTime) -> bool {
+        let now = Phase { signal, time, lock };
+        match self.last.binary_search_by_key(&signal, |phase| phase.signal) {
+            Err(place) => {
+                self.last.insert(place, now);
+                true
+            }
+            Ok(place) => {
+                let last = std::mem::replace(&mut self.last[place], now);
+                let since_ms = (time - last.time) * 1e3;
+                lock.least_ms < last.lock.least_ms || (lock.below_ms as f64) <= since_ms
             }
         }
     }
@@ -100,7 +111,7 @@ mod tests {
 
     #[test]
     fn lock_is_lost_where_it_cannot_reach_back() {
-        let mut table = LockTable::new(1);
+        let mut table = LockTable::default();
         let at = |seconds: f64| GpsTime::from_week_seconds(2100, seconds);
         let lock = LockTime::of_four_bits;
         assert!(table.is_lost(0, at(0.0), lock(4)), "nothing before it is known");
@@ -108,5 +119,7 @@ mod tests {
         assert!(!table.is_lost(0, at(1.2), lock(5)), "may stand still");
         assert!(table.is_lost(0, at(10.0), lock(5)), "began within the 8.8 s");
         assert!(table.is_lost(0, at(10.1), lock(4)), "fell");
+        assert!(table.is_lost(9, at(10.1), lock(4)) && table.is_lost(5, at(10.1), lock(4)));
+        assert!(!table.is_lost(9, at(10.2), lock(4)) && !table.is_lost(0, at(10.2), lock(4)));
     }
 }

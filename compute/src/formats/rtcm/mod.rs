@@ -83,7 +83,7 @@ pub(in crate::formats) struct Decoder {
 impl Decoder {
     pub(in crate::formats) fn new() -> Self {
         Self {
-            locks: LockTable::new(msm::LOCKS),
+            locks: LockTable::default(),
             legacy: LegacyState::new(),
             channels: [None; 64],
             station: Station::default(),

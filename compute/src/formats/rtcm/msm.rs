@@ -18,8 +18,6 @@ const SATELLITES: usize = 64;
 const SIGNALS: usize = 32;
 /// Largest number of cells in a message.
 const CELLS: usize = 64;
-/// Size of a table of lock times.
-pub(super) const LOCKS: usize = Constellation::COUNT * SATELLITES * SIGNALS;
 
 const MESSAGE_BITS: usize = 12;
 /// Value of an unknown day of week (DF416).
