@@ -62,8 +62,8 @@ struct Phase {
     lock: LockTime,
 }
 
-/// The last lock time of each signal that was observed: of some hundred out of 14,000. A service has
-/// a table for each receiver.
+/// The last lock time of each signal that was observed: some hundred of 14,000. A service has a
+/// table for each receiver.
 #[derive(Debug, Default)]
 pub(super) struct LockTable {
     /// In order of the signals.
