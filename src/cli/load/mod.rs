@@ -30,7 +30,7 @@ use super::trust::TrustArguments;
 
 /// Streams of one connection; the service allows some more, which the other calls use.
 const STREAMS_PER_CONNECTION: usize = 100;
-/// Sessions that are created, or verified, at the same time.
+/// Sessions that are created, opened or verified at the same time.
 const AT_ONCE: usize = 32;
 
 /// Sends the epochs of many simulated devices to a service, and checks every acknowledgement in its
@@ -129,7 +129,7 @@ async fn load(arguments: LoadArguments) -> Result<(), Failure> {
     }
     let devices = created(&arguments, &connections, &new).await?;
     eprintln!("{} sessions created", devices.len());
-    let (opening, beginning) = (Instant::now(), Arc::new(Beginning::new(devices.len())));
+    let (opening, beginning) = (Instant::now(), Arc::new(Beginning::new(devices.len(), AT_ONCE)));
     let mut running = JoinSet::new();
     for device in devices {
         running.spawn(device.run(Arc::clone(&traffic), schedule, Arc::clone(&beginning)));

@@ -6,8 +6,6 @@ use std::time::Duration;
 use tokio::sync::{Barrier, Semaphore};
 use tokio::time::Instant;
 
-/// Streams that are opened at the same time.
-const OPENING: usize = 32;
 /// From when the last stream is open to the beginning.
 const LEAD: Duration = Duration::from_secs(1);
 
@@ -44,9 +42,9 @@ pub(super) struct Beginning {
 }
 
 impl Beginning {
-    /// For this many devices, and one who waits for them.
-    pub(super) fn new(devices: usize) -> Self {
-        let (opening, opened) = (Semaphore::new(OPENING), Barrier::new(devices + 1));
+    /// For this many devices, and one who waits for them; so many open their streams `at_once`.
+    pub(super) fn new(devices: usize, at_once: usize) -> Self {
+        let (opening, opened) = (Semaphore::new(at_once), Barrier::new(devices + 1));
         Self { opening, opened, at: OnceLock::new() }
     }
 
@@ -64,7 +62,7 @@ mod tests {
     /// Nobody begins before the last one is there, and all begin at the same time.
     #[tokio::test]
     async fn devices_begin_together() {
-        let beginning = Beginning::new(2);
+        let beginning = Beginning::new(2, 1);
         let others = async { tokio::join!(beginning.at(), beginning.at()) };
         let mut others = std::pin::pin!(others);
         assert!(futures::poll!(&mut others).is_pending());

@@ -2,7 +2,7 @@
 //!
 //! One task writes. Batches that arrive during a transaction wait in a bounded queue and form the
 //! next transaction. So transactions grow with the load, and a single session waits for no other.
-//! After a transaction of several batches the next one begins no sooner than 20 ms later: the disk
+//! After a transaction of several batches the next one begins 20 ms after it, or later: the disk
 //! then syncs once for more of them.
 //! A batch that does not continue its session, because another writer has stored epochs or has
 //! closed it, is left out of the transaction; see `heads`.
@@ -79,6 +79,7 @@ impl Timing {
             deadline: DEADLINE,
             heartbeat: Duration::from_secs(2),
             retry: Duration::from_millis(250),
+            // Several times a sync of the disk, and little beside the delays of a network.
             spacing: Duration::from_millis(20),
         }
     }

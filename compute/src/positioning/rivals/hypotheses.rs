@@ -120,6 +120,8 @@ struct Search<'a> {
     evidence: &'a Evidence<'a>,
     /// Sums of the probabilities that residuals are of direct signals, up to each of them.
     directs: Vec<f64>,
+    /// Number of subsets to draw: until one contains only direct signals.
+    subsets: usize,
     draws: Draws,
     /// The residuals drawn last.
     subset: Vec<usize>,
@@ -131,20 +133,25 @@ impl<'a> Search<'a> {
     fn new(evidence: &'a Evidence<'a>, seed: u64) -> Self {
         let count = evidence.pool().len();
         let mut directs = Vec::with_capacity(count);
-        let mut sum = 0.0;
+        let (mut sum, mut squares) = (0.0, 0.0);
         for pooled in evidence.pool() {
-            sum += 1.0 - evidence.error(pooled).reflected;
+            let direct = 1.0 - evidence.error(pooled).reflected;
+            sum += direct;
+            squares += direct * direct;
             directs.push(sum);
         }
+        // Signals are drawn by this probability, so a drawn one is direct with its weighted mean.
+        let needed = subsets_needed(squares / sum, 3 + clocks(evidence));
+        let subsets = (needed.ceil() as usize).clamp(1, SUBSETS_MAX);
         let (subset, own_m) = (Vec::with_capacity(UNKNOWNS), Vec::with_capacity(count));
-        Self { evidence, directs, draws: Draws::new(seed), subset, own_m }
+        Self { evidence, directs, subsets, draws: Draws::new(seed), subset, own_m }
     }
 
     /// The best positions of the drawn subsets that are distinct from the trajectory and from each
     /// other, best first.
     fn candidates(&mut self) -> Vec<Offset> {
         let mut best: Vec<Offset> = Vec::with_capacity(REFINED + 1);
-        for _ in 0..self.subsets() {
+        for _ in 0..self.subsets {
             self.draw();
             let Some(x) = self.solved() else { continue };
             let enough = best.get(REFINED - 1).map_or(f64::INFINITY, Offset::cost);
@@ -153,17 +160,6 @@ impl<'a> Search<'a> {
             }
         }
         best
-    }
-
-    /// Number of subsets to draw: until one contains only direct signals.
-    fn subsets(&self) -> usize {
-        let direct = self.evidence.pool().iter().map(|p| 1.0 - self.evidence.error(p).reflected);
-        // Signals are drawn by this probability, so a drawn one is direct with its weighted mean.
-        let squares: f64 = direct.map(|probability| probability.powi(2)).sum();
-        let sum = self.directs.last().copied().unwrap_or(0.0);
-        let needed = subsets_needed(squares / sum, 3 + clocks(self.evidence));
-        // Also where it is infinite.
-        (needed.ceil() as usize).clamp(1, SUBSETS_MAX)
     }
 
     /// Draws residuals of different satellites until they determine a position and their clocks.
