@@ -25,26 +25,23 @@ impl Fix {
         self.entries.resize(size, None);
     }
 
-    /// Stores the integers of `members`, the entries that were decorrelated together, from their
-    /// decorrelated integers `z`: a = base + Z⁻ᵀz.
+    /// Stores the integers of `members`, those of the decorrelated entries that are not left out,
+    /// from their decorrelated integers `z`: a = base + Z⁻ᵀz. `z` becomes Z⁻ᵀz.
     ///
-    /// `base` are the members' integer parts, subtracted before decorrelation. Returns whether all
-    /// products of these with the transformation are exact in an `f64`.
+    /// `base` are the integer parts of all entries, subtracted before decorrelation. Returns
+    /// whether all numbers on the way are exact in an `f64`.
     pub(in crate::lambda) fn hold(
         &mut self,
         reduction: &Reduction,
         members: &[usize],
         base: &[f64],
-        z: &[f64],
+        z: &mut Vec<f64>,
     ) -> bool {
-        members.iter().zip(base).for_each(|(&m, &whole)| self.entries[m] = Some(whole as i64));
-        for (j, &integer) in z.iter().enumerate() {
-            for (&member, &weight) in members.iter().zip(reduction.restoration(j)) {
-                let entry = self.entries[member].get_or_insert(0);
-                *entry += (weight as i64).saturating_mul(integer as i64);
-            }
-        }
-        let is_exact = |weight: &f64, whole: &f64| (weight * whole).abs() < EXACT_MAX;
-        (0..z.len()).all(|j| reduction.combination(j).iter().zip(base).all(|(w, b)| is_exact(w, b)))
+        let is_restored = reduction.restore(z);
+        members.iter().fold(is_restored, |is_exact, &member| {
+            let integer = base[member] + z[member];
+            self.entries[member] = Some(integer as i64);
+            is_exact && integer.abs() < EXACT_MAX
+        })
     }
 }

@@ -4,7 +4,7 @@
 //!
 //! `reduction` decorrelates Q by a unimodular Z, `search` enumerates the ellipsoid for the best
 //! integers, `success` and `validation` give their reliability, `resolver` combines these and fixes
-//! a subset when the full set is too weak. The physical meaning of the integers, and their effect
+//! a subset when the full set is too weak. `separation` tests known integers without some entries. The physical meaning of the integers, and their effect
 //! on real-valued parameters, is the caller's concern.
 //!
 //! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*;
@@ -44,11 +44,13 @@ mod fix;
 mod reduction;
 mod resolver;
 mod search;
+mod separation;
 mod success;
 mod validation;
 
 pub use fix::Fix;
 pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};
+pub(crate) use separation::Separation;
 pub use validation::KnownScale;
 pub(crate) use validation::odds_at_scale;
 
@@ -92,8 +94,8 @@ pub enum LambdaError {
         /// Conditional variance of that entry.
         pivot: f64,
     },
-    /// The entries of the transformation exceed the integers that an `f64` represents exactly.
-    #[error("covariance is too badly conditioned: a transformation entry exceeds 2⁵²")]
+    /// A decorrelated entry exceeds the integers that an `f64` represents exactly.
+    #[error("covariance is too badly conditioned: a decorrelated entry exceeds 2⁵²")]
     Overflow,
 }
 

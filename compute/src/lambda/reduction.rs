@@ -6,6 +6,10 @@
 //! (symmetric pivoting; an integer Gauss step below the subdiagonal only where a swap follows);
 //! Xie, Chang & Al Borno (2011), *Partial LLL reduction*, arXiv:1204.1398 (the other entries of a
 //! column only once, at the end: neither the swaps nor D depend on them).
+//!
+//! Entries are left out without a new decorrelation: Euclid's algorithm on a row of Z, by the same
+//! two kinds of steps, leaves that row with one entry. It stands first, where nothing depends on
+//! it, and the others are decorrelated again, which takes few steps.
 
 use crate::lambda::EXACT_MAX;
 use crate::lambda::LambdaError;
@@ -25,17 +29,51 @@ const LONG_STEP: f64 = 2.0;
 /// A conditional variance below this fraction of its variance is rounding noise.
 const PIVOT_FRACTION_MIN: f64 = 1e-14;
 
+/// A factor of Z, as it acts on the entries ẑ = Zᵀâ.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    /// Two entries change places.
+    Exchange(u32, u32),
+    /// A multiple of an entry is subtracted from another.
+    Subtract { from: u32, of: u32, multiple: f64 },
+}
+
+impl Step {
+    /// Applies the step (`sign` −1) or its inverse (1) to the entries. Returns whether the entry
+    /// that changes is below the integers that an `f64` represents exactly.
+    fn apply(&self, entries: &mut [f64], sign: f64) -> bool {
+        match *self {
+            Self::Exchange(a, b) => {
+                entries.swap(a as usize, b as usize);
+                true
+            }
+            Self::Subtract { from, of, multiple } => {
+                let added = sign * multiple * entries[of as usize];
+                let entry = &mut entries[from as usize];
+                *entry += added;
+                entry.abs() < EXACT_MAX
+            }
+        }
+    }
+}
+
 /// A decorrelated covariance, and the workspace that computes the next one without allocation.
 ///
-/// Matrices are flat and column-major; entry (i, j) is at i + j·n.
+/// Matrices are flat and column-major; entry (i, j) is at i + j·n. Z is kept as the product of its
+/// steps: a step costs no more than two numbers, and one that had to be applied to Z and Z⁻ᵀ would
+/// cost more than what it does to L.
 #[derive(Clone, Debug)]
 pub(crate) struct Reduction {
     size: usize,
+    /// Entries left out; they stand first.
+    left_out: usize,
     factor: Vec<f64>,
     factor_rows: Vec<f64>,
     variances: Vec<f64>,
-    transformation: Vec<f64>,
-    inverse_transpose: Vec<f64>,
+    steps: Vec<Step>,
+    floats: Vec<f64>,
+    /// Whether all floats on the way were below the integers that an `f64` represents exactly.
+    is_exact: bool,
     scale: Vec<f64>,
     row: Vec<f64>,
 }
@@ -47,88 +85,148 @@ impl Reduction {
         let line = || Vec::with_capacity(size);
         Self {
             size: 0,
+            left_out: 0,
             factor: square(),
             factor_rows: square(),
             variances: line(),
-            transformation: square(),
-            inverse_transpose: square(),
+            steps: Vec::with_capacity(size * size),
+            floats: line(),
+            is_exact: true,
             scale: line(),
             row: line(),
         }
     }
 
-    /// Decorrelates a covariance of n² entries, column-major, and replaces the previous result.
+    /// Decorrelates floats â, n of them, with a covariance of n² entries, column-major. Replaces the
+    /// previous result.
     ///
     /// # Errors
     /// `Empty`, `NotPositiveDefinite`, `Overflow`.
     pub(in crate::lambda) fn reduce(
         &mut self,
-        size: usize,
+        floats: impl Iterator<Item = f64>,
         entries: impl Iterator<Item = f64>,
     ) -> Result<(), LambdaError> {
-        if size == 0 {
+        self.load(floats, entries);
+        if self.size == 0 {
             return Err(LambdaError::Empty);
         }
-        self.load(size, entries);
         self.factorize()?;
-        self.decorrelate();
-        self.shorten();
-        let too_large = |z: &f64| EXACT_MAX <= z.abs() || z.is_nan();
-        if self.transformation.iter().chain(&self.inverse_transpose).any(too_large) {
-            return Err(LambdaError::Overflow);
-        }
-        self.store_rows();
-        Ok(())
+        self.finish()
     }
 
-    /// Number of entries n.
+    /// Becomes another reduction, in the memory that it has.
+    pub(in crate::lambda) fn copy_from(&mut self, other: &Self) {
+        (self.size, self.left_out, self.is_exact) = (other.size, other.left_out, other.is_exact);
+        self.factor.clone_from(&other.factor);
+        self.factor_rows.clone_from(&other.factor_rows);
+        self.variances.clone_from(&other.variances);
+        self.steps.clone_from(&other.steps);
+        self.floats.clone_from(&other.floats);
+        self.scale.clone_from(&other.scale);
+    }
+
+    /// Leaves out an entry, so that the others are combinations of original entries with
+    /// Σ weight·coefficient = 0: with one weight of one, those without that original entry; with
+    /// ones for differences from a common reference, those without the reference. `weights` are
+    /// integers, n of them; they are overwritten.
+    ///
+    /// # Errors
+    /// `Overflow`.
+    pub(in crate::lambda) fn leave_out(&mut self, weights: &mut [f64]) -> Result<(), LambdaError> {
+        if !self.transform(weights) {
+            return Err(LambdaError::Overflow);
+        }
+        for k in (self.left_out..self.size.saturating_sub(1)).rev() {
+            while weights[k + 1] != 0.0 {
+                let multiple = (weights[k] / weights[k + 1]).round();
+                self.subtract_multiple(k + 1, k, multiple);
+                let (l, next) = (self.factor[k + 1 + k * self.size], self.variances[k + 1]);
+                self.permute(k, self.variances[k] + l * (l * next));
+                weights[k] -= multiple * weights[k + 1];
+                weights.swap(k, k + 1);
+            }
+        }
+        if self.left_out < self.size && weights[self.left_out] != 0.0 {
+            self.left_out += 1;
+        }
+        self.finish()
+    }
+
+    /// Number of entries that are not left out.
     pub(crate) fn size(&self) -> usize {
-        self.size
+        self.size - self.left_out
     }
 
     /// Conditional variances D, each given all later entries; the last is unconditional.
     pub(crate) fn variances(&self) -> &[f64] {
-        &self.variances
-    }
-
-    /// Column `j` of Z: the integer combination of original entries that equals ẑ_j.
-    pub(crate) fn combination(&self, j: usize) -> &[f64] {
-        &self.transformation[j * self.size..(j + 1) * self.size]
-    }
-
-    /// Column `j` of Z⁻ᵀ: the change of the original integers for one unit of z_j.
-    pub(crate) fn restoration(&self, j: usize) -> &[f64] {
-        &self.inverse_transpose[j * self.size..(j + 1) * self.size]
+        &self.variances[self.left_out..]
     }
 
     /// Row `i` of L up to its diagonal.
     pub(crate) fn factor_row(&self, i: usize) -> &[f64] {
-        &self.factor_rows[i * self.size..i * self.size + i + 1]
+        let n = self.size();
+        &self.factor_rows[i * n..i * n + i + 1]
     }
 
-    /// Computes ẑ = Zᵀâ into `decorrelated`.
-    ///
-    /// # Panics
-    /// When `float` is shorter than the reduction.
-    pub(crate) fn transform(&self, float: &[f64], decorrelated: &mut Vec<f64>) {
-        decorrelated.clear();
-        decorrelated.extend((0..self.size).map(|j| dot(self.combination(j), float)));
+    /// The decorrelated floats ẑ = Zᵀâ.
+    pub(crate) fn floats(&self) -> &[f64] {
+        &self.floats[self.left_out..]
     }
 
-    fn load(&mut self, size: usize, entries: impl Iterator<Item = f64>) {
-        self.size = size;
+    /// ‖ẑ‖², the squared norm of the floats about zero.
+    pub(in crate::lambda) fn squared_norm(&self) -> f64 {
+        let n = self.size();
+        let mut conditioned = self.floats().to_vec();
+        for k in (0..n).rev() {
+            let (before, center) = (&self.factor_row(k)[..k], conditioned[k]);
+            conditioned.iter_mut().zip(before).for_each(|(z, l)| *z -= center * l);
+        }
+        conditioned.iter().zip(self.variances()).map(|(z, d)| z * z / d).sum()
+    }
+
+    /// Turns n values a into Zᵀa; the first belong to what is left out. Returns whether all numbers
+    /// on the way are below the integers that an `f64` represents exactly.
+    pub(in crate::lambda) fn transform(&self, values: &mut [f64]) -> bool {
+        let steps = self.steps.iter();
+        steps.fold(true, |is_exact, step| is_exact & step.apply(values, -1.0))
+    }
+
+    /// Turns decorrelated integers z into the original ones, a = Z⁻ᵀz; those left out mean nothing.
+    /// Returns whether all numbers on the way are exact.
+    pub(crate) fn restore(&self, integers: &mut Vec<f64>) -> bool {
+        integers.splice(..0, std::iter::repeat_n(0.0, self.left_out));
+        let steps = self.steps.iter().rev();
+        steps.fold(true, |is_exact, step| is_exact & step.apply(integers, 1.0))
+    }
+
+    fn load(&mut self, floats: impl Iterator<Item = f64>, entries: impl Iterator<Item = f64>) {
+        self.floats.clear();
+        self.floats.extend(floats);
+        let size = self.floats.len();
+        (self.size, self.left_out, self.is_exact) = (size, 0, true);
         self.factor.clear();
         self.factor.extend(entries);
         assert_eq!(self.factor.len(), size * size, "the caller passes n² entries");
         self.scale.clear();
         self.scale.extend((0..size).map(|i| self.factor[i + i * size]));
-        for matrix in [&mut self.transformation, &mut self.inverse_transpose] {
-            matrix.clear();
-            matrix.resize(size * size, 0.0);
-            (0..size).for_each(|i| matrix[i + i * size] = 1.0);
-        }
+        self.steps.clear();
         self.variances.clear();
         self.variances.resize(size, 0.0);
+    }
+
+    /// Decorrelates what is not left out.
+    fn finish(&mut self) -> Result<(), LambdaError> {
+        self.decorrelate();
+        self.shorten();
+        self.store_rows();
+        if self.is_exact { Ok(()) } else { Err(LambdaError::Overflow) }
+    }
+
+    /// Records a step, and takes it.
+    fn step(&mut self, step: Step) {
+        self.is_exact &= step.apply(&mut self.floats, -1.0);
+        self.steps.push(step);
     }
 
     /// Q = LᵀDL with symmetric pivoting: the smallest remaining conditional variance goes last.
@@ -175,16 +273,17 @@ impl Reduction {
         let n = self.size;
         swap_columns(&mut self.factor, n, p, i);
         (0..=i).for_each(|j| self.factor.swap(p + j * n, i + j * n));
-        swap_columns(&mut self.transformation, n, p, i);
-        swap_columns(&mut self.inverse_transpose, n, p, i);
+        self.step(Step::Exchange(p as u32, i as u32));
         self.scale.swap(p, i);
     }
 
-    /// The original index of entry `i`. Before decorrelation Z is a permutation, and this is the
-    /// row of the one in its column `i`.
+    /// The original index of entry `i`, before decorrelation: all steps are exchanges so far.
     fn original_index(&self, i: usize) -> usize {
-        let column = self.combination(i);
-        column.iter().position(|&z| z != 0.0).expect("a permutation has a one in each column")
+        self.steps.iter().rev().fold(i, |at, step| match *step {
+            Step::Exchange(a, b) if at == a as usize => b as usize,
+            Step::Exchange(a, b) if at == b as usize => a as usize,
+            _ => at,
+        })
     }
 
     /// Swaps neighbours as long as this moves the smaller variance to the later position.
@@ -192,13 +291,13 @@ impl Reduction {
         let n = self.size;
         let mut swaps_left = SWAPS_PER_ENTRY_MAX * n;
         let mut k = n.saturating_sub(1);
-        while 0 < k && 0 < swaps_left {
+        while self.left_out < k && 0 < swaps_left {
             let (upper, lower) = (k - 1, k);
             let l = self.factor[lower + upper * n];
             let multiple = nearest(l);
             let remainder = l - multiple;
             let (here, next) = (self.variances[upper], self.variances[lower]);
-            let swapped = remainder.mul_add(remainder * next, here);
+            let swapped = here + remainder * (remainder * next);
             if swapped < SWAP_GAIN * next {
                 let last = if multiple.abs() < LONG_STEP { lower + 1 } else { n };
                 (lower..last).for_each(|i| self.subtract(i, upper));
@@ -213,24 +312,26 @@ impl Reduction {
 
     /// Makes every |l_ij| ≤ ½.
     fn shorten(&mut self) {
-        for j in (0..self.size).rev() {
+        for j in (self.left_out..self.size).rev() {
             (j + 1..self.size).for_each(|i| self.subtract(i, j));
         }
     }
 
     /// Integer Gauss step: column j minus round(l_ij) times column i.
     fn subtract(&mut self, i: usize, j: usize) {
-        let n = self.size;
-        let entry = self.factor[i + j * n];
-        if entry.abs() < 0.5 {
-            return;
+        let entry = self.factor[i + j * self.size];
+        if 0.5 <= entry.abs() {
+            self.subtract_multiple(i, j, nearest(entry));
         }
-        let multiple = nearest(entry);
+    }
+
+    /// Column j minus a multiple of column i, a later one.
+    fn subtract_multiple(&mut self, i: usize, j: usize, multiple: f64) {
+        let n = self.size;
         let (left, right) = self.factor.split_at_mut(i * n);
         let target = left[j * n + i..(j + 1) * n].iter_mut();
         target.zip(&right[i..n]).for_each(|(a, b)| *a -= multiple * b);
-        add_column(&mut self.transformation, n, j, i, -multiple);
-        add_column(&mut self.inverse_transpose, n, i, j, multiple);
+        self.step(Step::Subtract { from: j as u32, of: i as u32, multiple });
     }
 
     /// Swaps entries k and k+1 in LᵀDL; `swapped` is the variance entry k gets without k+1.
@@ -241,36 +342,26 @@ impl Reduction {
         let coupling = l * self.variances[k + 1] / swapped;
         self.variances[k] = shrink * self.variances[k + 1];
         self.variances[k + 1] = swapped;
-        for j in 0..k {
-            let (a, b) = (self.factor[k + j * n], self.factor[k + 1 + j * n]);
-            self.factor[k + j * n] = b - l * a;
-            self.factor[k + 1 + j * n] = shrink * a + coupling * b;
+        for column in self.factor[self.left_out * n..k * n].chunks_exact_mut(n) {
+            let pair = &mut column[k..k + 2];
+            let (a, b) = (pair[0], pair[1]);
+            pair[0] = b - l * a;
+            pair[1] = shrink * a + coupling * b;
         }
         self.factor[k + 1 + k * n] = coupling;
-        (k + 2..n).for_each(|i| self.factor.swap(i + k * n, i + (k + 1) * n));
-        swap_columns(&mut self.transformation, n, k, k + 1);
-        swap_columns(&mut self.inverse_transpose, n, k, k + 1);
+        let (left, right) = self.factor.split_at_mut((k + 1) * n);
+        left[k * n + k + 2..].swap_with_slice(&mut right[k + 2..n]);
+        self.step(Step::Exchange(k as u32, k as u32 + 1));
     }
 
+    /// Stores the rows of L that are not left out.
     fn store_rows(&mut self) {
         self.factor_rows.clear();
-        for i in 0..self.size {
-            self.factor_rows.extend(self.factor[i..].iter().step_by(self.size));
+        let begin = self.left_out * self.size;
+        for i in self.left_out..self.size {
+            self.factor_rows.extend(self.factor[begin + i..].iter().step_by(self.size));
         }
     }
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
-}
-
-/// Column `to` plus `multiple` times column `from`, of a square matrix.
-fn add_column(matrix: &mut [f64], n: usize, to: usize, from: usize, multiple: f64) {
-    let (first, last) = (to.min(from), to.max(from));
-    let (left, right) = matrix.split_at_mut(last * n);
-    let (low, high) = (&mut left[first * n..(first + 1) * n], &mut right[..n]);
-    let (target, source) = if to < from { (low, high) } else { (high, low) };
-    target.iter_mut().zip(source.iter()).for_each(|(a, b)| *a += multiple * b);
 }
 
 fn swap_columns(matrix: &mut [f64], n: usize, a: usize, b: usize) {

@@ -11,9 +11,7 @@ use crate::lambda::search::SearchLimits;
 use crate::lambda::search::SearchOutcome;
 use crate::lambda::success::adop;
 use crate::lambda::success::bootstrapped_success_rate;
-use crate::lambda::validation::posterior_probability;
-use crate::lambda::validation::ratio;
-use crate::lambda::validation::{KnownScale, scaled_posterior_probability};
+use crate::lambda::validation::{KnownScale, posterior, ratio};
 
 /// Conditions for accepting integers, and limits of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -95,8 +93,8 @@ pub struct Resolver {
     fix: Fix,
     members: Vec<usize>,
     base: Vec<f64>,
-    fraction: Vec<f64>,
-    decorrelated: Vec<f64>,
+    restored: Vec<f64>,
+    weights: Vec<f64>,
     nodes: usize,
     attempts: usize,
 }
@@ -110,8 +108,8 @@ impl Resolver {
             fix: Fix::with_capacity(size),
             members: Vec::with_capacity(size),
             base: Vec::with_capacity(size),
-            fraction: Vec::with_capacity(size),
-            decorrelated: Vec::with_capacity(size),
+            restored: Vec::with_capacity(size),
+            weights: Vec::with_capacity(size),
             nodes: 0,
             attempts: 0,
         }
@@ -132,16 +130,12 @@ impl Resolver {
     ) -> Result<Outcome, LambdaError> {
         check(float, covariance, partial)?;
         (self.nodes, self.attempts) = (0, 0);
-        self.members.clear();
-        self.members.extend(0..float.len());
         self.load(float, covariance)?;
         let whole = self.attempt(float.len(), options);
         let outcome = match partial {
             _ if whole.rejection.is_none() => whole,
             Partial::None => whole,
-            Partial::Ordered(order) => {
-                self.drop_in_order(float, covariance, order, options)?.unwrap_or(whole)
-            }
+            Partial::Ordered(order) => self.drop_in_order(order, options)?.unwrap_or(whole),
         };
         if outcome.rejection.is_some() {
             self.fix.clear(float.len());
@@ -154,19 +148,25 @@ impl Resolver {
         &self.fix
     }
 
-    /// Decorrelates the block of `covariance` of the present members, and their floats.
+    /// Decorrelates the covariance and the floats.
     ///
     /// The nearest integers are subtracted first: the remainders are small and keep their digits.
     fn load(&mut self, float: &[f64], covariance: &DMatrix<f64>) -> Result<(), LambdaError> {
-        let members = &self.members;
-        let entries = members.iter().flat_map(|&j| members.iter().map(move |&i| (i, j)));
-        self.reduction.reduce(members.len(), entries.map(|at| covariance[at]))?;
+        self.members.clear();
+        self.members.extend(0..float.len());
         self.base.clear();
-        self.base.extend(members.iter().map(|&i| float[i].round()));
-        self.fraction.clear();
-        self.fraction.extend(members.iter().map(|&i| float[i] - float[i].round()));
-        self.reduction.transform(&self.fraction, &mut self.decorrelated);
-        Ok(())
+        self.base.extend(float.iter().map(|float| float.round()));
+        let fractions = float.iter().zip(&self.base).map(|(float, whole)| float - whole);
+        self.reduction.reduce(fractions, covariance.iter().copied())
+    }
+
+    /// Leaves out a member.
+    fn leave_out(&mut self, member: usize) -> Result<(), LambdaError> {
+        self.members.retain(|&other| other != member);
+        self.weights.clear();
+        self.weights.resize(self.base.len(), 0.0);
+        self.weights[member] = 1.0;
+        self.reduction.leave_out(&mut self.weights)
     }
 
     /// Tests the present members and stores their integers if accepted.
@@ -193,8 +193,10 @@ impl Resolver {
         };
         if outcome.rejection.is_none() {
             self.fix.clear(size);
-            let best = self.search.candidate(0);
-            if !self.fix.hold(&self.reduction, &self.members, &self.base, best) {
+            self.restored.clear();
+            self.restored.extend_from_slice(self.search.candidate(0));
+            let (members, best) = (&self.members, &mut self.restored);
+            if !self.fix.hold(&self.reduction, members, &self.base, best) {
                 outcome.rejection = Some(Rejection::Magnitude);
             }
         }
@@ -205,7 +207,7 @@ impl Resolver {
     fn search(&mut self, options: &Options, outcome: &mut Outcome) -> Option<Rejection> {
         let nodes = (options.nodes_max - self.nodes).div_ceil(2);
         let limits = SearchLimits { candidates: options.candidates.max(2), nodes };
-        let searched = self.search.run(&self.reduction, &self.decorrelated, limits);
+        let searched = self.search.run(&self.reduction, limits);
         self.nodes += searched.nodes();
         if let SearchOutcome::LimitReached { .. } = searched {
             return Some(Rejection::SearchLimit);
@@ -217,10 +219,7 @@ impl Resolver {
             return Some(Rejection::Ratio);
         }
         let variances = self.reduction.variances();
-        outcome.probability = Some(match options.scale {
-            Some(scale) => scaled_posterior_probability(norms, variances, scale),
-            None => posterior_probability(norms, variances),
-        });
+        outcome.probability = Some(posterior(norms, variances, options.scale));
         let is_likely = outcome.probability.is_some_and(|p| options.probability_min <= p);
         (!is_likely).then_some(Rejection::Probability)
     }
@@ -232,8 +231,6 @@ impl Resolver {
 
     fn drop_in_order(
         &mut self,
-        float: &[f64],
-        covariance: &DMatrix<f64>,
         order: &[usize],
         options: &Options,
     ) -> Result<Option<Outcome>, LambdaError> {
@@ -241,9 +238,8 @@ impl Resolver {
             if self.members.len() <= options.fixed_min.max(1) || !self.has_budget(options) {
                 break;
             }
-            self.members.retain(|&member| member != weakest);
-            self.load(float, covariance)?;
-            let outcome = self.attempt(float.len(), options);
+            self.leave_out(weakest)?;
+            let outcome = self.attempt(self.base.len(), options);
             if outcome.rejection.is_none() {
                 return Ok(Some(outcome));
             }

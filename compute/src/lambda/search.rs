@@ -87,18 +87,13 @@ impl Search {
         }
     }
 
-    /// Finds the best integers for the decorrelated entries; `float` is ẑ.
+    /// Finds the best integers for the decorrelated entries.
     ///
     /// # Panics
-    /// If there is no entry, `float` has another size, or no candidate is requested.
-    pub(crate) fn run(
-        &mut self,
-        reduction: &Reduction,
-        float: &[f64],
-        limits: SearchLimits,
-    ) -> SearchOutcome {
-        let n = reduction.size();
-        assert!(0 < n && float.len() == n && 0 < limits.candidates, "nothing to search");
+    /// If there is no entry, or no candidate is requested.
+    pub(crate) fn run(&mut self, reduction: &Reduction, limits: SearchLimits) -> SearchOutcome {
+        let (n, float) = (reduction.size(), reduction.floats());
+        assert!(0 < n && 0 < limits.candidates, "nothing to search");
         self.prepare(n);
         let mut k = n - 1;
         self.levels[k] = Level::around(float[k], 0.0);

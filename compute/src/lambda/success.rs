@@ -10,6 +10,8 @@ use std::f64::consts::SQRT_2;
 
 /// Argument above which erf is computed by the continued fraction of erfc.
 const SERIES_MAX: f64 = 2.0;
+/// Argument above which 1 − erfc is one in double precision: erfc(6) = 2·10⁻¹⁷.
+const CERTAIN: f64 = 6.0;
 
 /// Bootstrapped success rate from conditional variances.
 pub(crate) fn bootstrapped_success_rate(conditional_variances: &[f64]) -> f64 {
@@ -34,6 +36,9 @@ fn log_success_rate(conditional_variances: &[f64]) -> f64 {
 /// ln(2Φ(1/(2σ)) − 1) = ln erf(1/(2√2 σ)).
 fn log_rounding_success(variance: f64) -> f64 {
     let x = 1.0 / (2.0 * SQRT_2 * variance.sqrt());
+    if CERTAIN < x {
+        return 0.0;
+    }
     if x < SERIES_MAX { erf_series(x).ln() } else { (-erfc_fraction(x)).ln_1p() }
 }
 

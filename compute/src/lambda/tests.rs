@@ -10,7 +10,7 @@ use crate::lambda::success::bootstrapped_success_rate;
 use crate::lambda::*;
 
 /// SplitMix64, for reproducible floats and covariances.
-struct Random(u64);
+pub(super) struct Random(pub(super) u64);
 
 impl Random {
     fn uniform(&mut self) -> f64 {
@@ -32,7 +32,7 @@ impl Random {
 
     /// A strongly correlated covariance: that of differences of unit noise, which depend on three
     /// common real parameters of standard deviation `coarseness`; all scaled by `sigma`.
-    fn covariance(&mut self, size: usize, sigma: f64, coarseness: f64) -> DMatrix<f64> {
+    pub(super) fn covariance(&mut self, size: usize, sigma: f64, coarseness: f64) -> DMatrix<f64> {
         let design = self.matrix(size, 3) * coarseness;
         (DMatrix::from_fn(size, size, |i, j| if i == j { 2.0 } else { 1.0 })
             + &design * design.transpose())
@@ -54,7 +54,7 @@ impl Random {
     }
 
     /// A float of this covariance around zero.
-    fn float(&mut self, covariance: &DMatrix<f64>) -> Vec<f64> {
+    pub(super) fn float(&mut self, covariance: &DMatrix<f64>) -> Vec<f64> {
         let factor = covariance.clone().cholesky().expect("made definite").unpack();
         (factor * DVector::from_fn(covariance.nrows(), |_, _| self.normal())).as_slice().to_vec()
     }
@@ -62,11 +62,12 @@ impl Random {
 
 fn reduced(covariance: &DMatrix<f64>) -> Reduction {
     let mut reduction = Reduction::with_capacity(covariance.nrows());
-    reduction.reduce(covariance.nrows(), covariance.iter().copied()).expect("made definite");
+    let zeros = std::iter::repeat_n(0.0, covariance.nrows());
+    reduction.reduce(zeros, covariance.iter().copied()).expect("made definite");
     reduction
 }
 
-fn options() -> Options {
+pub(super) fn options() -> Options {
     Options {
         success_rate_min: 0.0,
         ratio_min: 1.0,
@@ -163,8 +164,19 @@ proptest! {
     fn decorrelation_is_unimodular(seed in any::<u64>(), size in 1_usize..=25) {
         let covariance = Random(seed).covariance(size, 0.1, 50.0);
         let reduction = reduced(&covariance);
-        let z = DMatrix::from_fn(size, size, |i, j| reduction.combination(j)[i]);
-        let back = DMatrix::from_fn(size, size, |i, j| reduction.restoration(j)[i]);
+        let unit = |j: usize| (0..size).map(|i| f64::from(u8::from(i == j))).collect::<Vec<_>>();
+        let rows = (0..size).map(|j| {
+            let mut values = unit(j);
+            assert!(reduction.transform(&mut values));
+            DVector::from_vec(values).transpose()
+        });
+        let z = DMatrix::from_rows(&rows.collect::<Vec<_>>());
+        let columns = (0..size).map(|j| {
+            let mut integers = unit(j);
+            assert!(reduction.restore(&mut integers));
+            DVector::from_vec(integers)
+        });
+        let back = DMatrix::from_columns(&columns.collect::<Vec<_>>());
         prop_assert!(z.iter().chain(back.iter()).all(|entry| entry.fract() == 0.0));
         prop_assert_eq!(z.transpose() * back, DMatrix::identity(size, size));
         let lower = DMatrix::from_fn(size, size, |i, j| {
@@ -175,6 +187,45 @@ proptest! {
         let scale = covariance.amax() * z.amax().powi(2);
         prop_assert!((lower.transpose() * d * &lower - wanted).amax() < 1e-12 * scale);
         prop_assert!((0..size).all(|i| lower.row(i).iter().take(i).all(|l| l.abs() <= 0.5 + 1e-9)));
+    }
+
+    /// Entries left out one after another: what is left has the squared norms, the determinant and
+    /// the integers of a decorrelation of the remaining entries alone.
+    #[test]
+    fn leaving_out_is_a_new_decorrelation(seed in any::<u64>(), size in 3_usize..=16) {
+        let mut random = Random(seed);
+        let covariance = random.covariance(size, 0.05, 30.0);
+        let float = random.float(&covariance);
+        let mut updated = Reduction::with_capacity(size);
+        updated.reduce(float.iter().copied(), covariance.iter().copied()).unwrap();
+        let mut kept: Vec<usize> = (0..size).collect();
+        let mut searches = [Search::with_capacity(size), Search::with_capacity(size)];
+        for _ in 1..size {
+            let out = kept.remove(random.0 as usize % kept.len());
+            let mut weights: Vec<f64> = (0..size).map(|i| f64::from(u8::from(i == out))).collect();
+            updated.leave_out(&mut weights).unwrap();
+            let entries = kept.iter().flat_map(|&j| kept.iter().map(move |&i| (i, j)));
+            let mut anew = Reduction::with_capacity(size);
+            let floats = kept.iter().map(|&i| float[i]);
+            anew.reduce(floats, entries.map(|at| covariance[at])).unwrap();
+            prop_assert_eq!(updated.size(), kept.len());
+            let log = |of: &Reduction| of.variances().iter().map(|d| d.ln()).sum::<f64>();
+            prop_assert!((log(&updated) - log(&anew)).abs() < 1e-6);
+            for (search, reduction) in searches.iter_mut().zip([&updated, &anew]) {
+                search.run(reduction, SearchLimits { candidates: 2, nodes: 200_000 });
+            }
+            let [own, other] = [searches[0].norms(), searches[1].norms()];
+            for (a, b) in own.iter().zip(other) {
+                prop_assert!((a - b).abs() < 1e-6 * (1.0 + b), "{own:?} {other:?}");
+            }
+            let mut integers = searches[0].candidate(0).to_vec();
+            prop_assert!(updated.restore(&mut integers));
+            let mut directly = searches[1].candidate(0).to_vec();
+            prop_assert!(anew.restore(&mut directly));
+            prop_assume!(own[0] * 1.001 < own[1]);
+            let wanted: Vec<f64> = kept.iter().map(|&i| integers[i]).collect();
+            prop_assert_eq!(wanted, directly);
+        }
     }
 
     /// Shifting the float by integers shifts the answer by the same, at 10⁸ too.
@@ -218,18 +269,19 @@ proptest! {
 fn success_rate_matches_monte_carlo() {
     let mut random = Random(7);
     let covariance = random.failing(6, 30.0, 0.3);
-    let reduction = reduced(&covariance);
+    let mut reduction = reduced(&covariance);
     let expected = bootstrapped_success_rate(reduction.variances());
     assert!((expected - 0.7).abs() < 1e-6);
     let mut search = Search::with_capacity(6);
-    let (mut bootstrapped, mut least_squares, mut z) = (0, 0, Vec::new());
+    let (mut bootstrapped, mut least_squares) = (0, 0);
     let trials = 20_000;
     for _ in 0..trials {
-        reduction.transform(&random.float(&covariance), &mut z);
+        let float = random.float(&covariance);
+        reduction.reduce(float.into_iter(), covariance.iter().copied()).expect("made definite");
         // The first candidate of a search of one leaf is the bootstrapped one.
-        search.run(&reduction, &z, SearchLimits { candidates: 1, nodes: 6 });
+        search.run(&reduction, SearchLimits { candidates: 1, nodes: 6 });
         bootstrapped += usize::from(search.candidate(0).iter().all(|i| *i == 0.0));
-        search.run(&reduction, &z, SearchLimits { candidates: 1, nodes: 100_000 });
+        search.run(&reduction, SearchLimits { candidates: 1, nodes: 100_000 });
         least_squares += usize::from(search.candidate(0).iter().all(|i| *i == 0.0));
     }
     // 3σ of a binomial rate: 1.1 %.

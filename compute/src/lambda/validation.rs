@@ -26,7 +26,7 @@ pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
 ///
 /// Source: Betti, Crespi & Sansò (1993), Manuscripta Geodaetica 18, 317–330, for the posterior; the
 /// tail is ours.
-pub(crate) fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f64 {
+fn posterior_probability(norms: &[f64], conditional_variances: &[f64]) -> f64 {
     let (Some(best), Some(last)) = (norms.first(), norms.last()) else { return 0.0 };
     let found: f64 = norms.iter().map(|q| (0.5 * (best - q)).exp()).sum();
     let n = conditional_variances.len();
@@ -42,6 +42,19 @@ pub struct KnownScale {
     pub freedom: f64,
     /// s²: scale of the prior, the mean square of residuals whitened by the covariance.
     pub variance: f64,
+}
+
+/// Posterior probability of the best candidate, with the prior of the covariance's scale; `None`:
+/// the scale is exact.
+pub(in crate::lambda) fn posterior(
+    norms: &[f64],
+    conditional_variances: &[f64],
+    scale: Option<KnownScale>,
+) -> f64 {
+    match scale {
+        Some(scale) => scaled_posterior_probability(norms, conditional_variances, scale),
+        None => posterior_probability(norms, conditional_variances),
+    }
 }
 
 /// Odds of integers with the first squared norm against those with the second, both of `entries`
@@ -60,7 +73,7 @@ pub(crate) fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) 
 /// (1−u)^(ν/2−1) du from u_m to one.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
-pub(crate) fn scaled_posterior_probability(
+fn scaled_posterior_probability(
     norms: &[f64],
     conditional_variances: &[f64],
     KnownScale { freedom, variance }: KnownScale,

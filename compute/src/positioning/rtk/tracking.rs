@@ -157,7 +157,9 @@ impl Tracking {
         satellites.sort_unstable();
         satellites.dedup();
         let prior = if was_confirmed { CONFIRMED } else { UNKNOWN };
-        let test = |satellite| search.separate(arcs, (satellite, prior), question);
+        let is_possible = search.prepare_separation(arcs, question);
+        let test =
+            |satellite| search.separate(arcs, (satellite, prior), question).filter(|_| is_possible);
         let verdict = confirmation.update(&satellites, test);
         hold.reliability = confirmation.reliability();
         if was_confirmed && !confirmation.is_confirmed() {

@@ -1,6 +1,7 @@
 //! Double differences of the arcs whose ambiguities may be integers.
 
 use crate::gnss::Constellation;
+use crate::positioning::differencing::DifferenceGroup;
 use crate::positioning::rtk::observed::CarrierArc;
 
 use super::float::FloatSolution;
@@ -23,6 +24,8 @@ pub(super) struct Differences {
     pub(super) pairs: Vec<DoubleDifference>,
     /// Index of each arc's ambiguity in the float solution; `None` if the arc is not eligible.
     indices: Vec<Option<usize>>,
+    /// The reference of each group.
+    references: Vec<(DifferenceGroup, usize)>,
 }
 
 impl Differences {
@@ -37,19 +40,22 @@ impl Differences {
         self.indices.clear();
         self.indices
             .extend(arcs.iter().map(|arc| float.index(arc.variable).filter(|_| is_eligible(arc))));
+        let eligible = || (0..arcs.len()).filter(|&arc| self.indices[arc].is_some());
+        let rank = |arc: &CarrierArc| (arc.is_proven, arc.held.is_some(), arc.elevation_rad);
+        self.references.clear();
+        for arc in eligible() {
+            let group = arcs[arc].group();
+            match self.references.iter_mut().find(|(known, _)| *known == group) {
+                Some((_, best)) if rank(&arcs[*best]) < rank(&arcs[arc]) => *best = arc,
+                Some(_) => {}
+                None => self.references.push((group, arc)),
+            }
+        }
         self.pairs.clear();
-        for (arc, own) in arcs.iter().enumerate() {
-            if self.indices[arc].is_none() {
-                continue;
-            }
-            let rank = |arc: &CarrierArc| (arc.is_proven, arc.held.is_some(), arc.elevation_rad);
-            let mut reference = arc;
-            for (other, candidate) in arcs.iter().enumerate() {
-                let is_better = rank(&arcs[reference]) < rank(candidate);
-                if is_better && self.indices[other].is_some() && candidate.group() == own.group() {
-                    reference = other;
-                }
-            }
+        for arc in eligible() {
+            let (own, group) = (&arcs[arc], arcs[arc].group());
+            let of_group = self.references.iter().find(|(known, _)| *known == group);
+            let &(_, reference) = of_group.expect("each eligible arc has put its group there");
             if reference != arc {
                 let both = own.held.zip(arcs[reference].held);
                 let known = both.and_then(|(own, zero)| own.minus(zero));

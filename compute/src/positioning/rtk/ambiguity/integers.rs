@@ -10,7 +10,7 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
-use crate::lambda::{Options, Outcome, Partial, Resolver, odds_at_scale};
+use crate::lambda::{Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
@@ -95,6 +95,7 @@ impl Judgement<'_> {
 #[derive(Debug)]
 pub(crate) struct IntegerSearch {
     pub(crate) resolver: Resolver,
+    pub(super) separation: Separation,
     pub(super) differences: Differences,
     order: Vec<usize>,
 }
@@ -103,6 +104,7 @@ impl Default for IntegerSearch {
     fn default() -> Self {
         Self {
             resolver: Resolver::with_capacity(CAPACITY),
+            separation: Separation::with_capacity(CAPACITY),
             differences: Differences::default(),
             order: Vec::new(),
         }

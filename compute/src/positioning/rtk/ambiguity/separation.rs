@@ -1,18 +1,43 @@
 //! The search for the held integers without one satellite, for their confirmation.
 
+use nalgebra::DMatrix;
+
 use crate::gnss::SatelliteId;
-use crate::lambda::{KnownScale, odds_at_scale};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
-use super::acceptance::{any_integers, lambda_options};
+use super::acceptance::lambda_options;
 use super::confirmation::{Separated, Verdict};
 use super::integers::{IntegerQuestion, IntegerSearch, may_be_integer};
-use super::joint::{Joint, bonferroni, condition, scale_odds};
+use super::joint::{bonferroni, scale_odds};
 
 /// Integers found without one satellite count if they are more likely right than wrong.
 const LIKELY: f64 = 0.5;
 
 impl IntegerSearch {
+    /// Decorrelates the ambiguities of the held integers, for [`Self::separate`]. Returns whether
+    /// there are enough of them.
+    pub(crate) fn prepare_separation(
+        &mut self,
+        arcs: &Arcs,
+        question: &IntegerQuestion<'_>,
+    ) -> bool {
+        let IntegerQuestion { time, float, options, .. } = *question;
+        let is_eligible = |arc: &CarrierArc| {
+            arc.last == time && arc.held.is_some() && may_be_integer(arc, options)
+        };
+        self.differences.form(arcs.list(), is_eligible, float);
+        self.differences.pairs.retain(|pair| pair.known.is_some());
+        let n = self.differences.pairs.len();
+        if n < options.fixed_min {
+            return false;
+        }
+        let joint = self.differences.joint(float);
+        let known = self.differences.pairs.iter().filter_map(|pair| pair.known);
+        let off = known.enumerate().map(|(i, known)| joint.estimate[3 + i] - known as f64);
+        let covariance = DMatrix::from_fn(n, n, |i, j| joint.covariance[(3 + i, 3 + j)]);
+        self.separation.load(off, &covariance).is_ok()
+    }
+
     /// Searches without one satellite: its verdict on the held integers, whose probability is
     /// `prior`, and the probability that it gives to them. `None` where too few are left.
     ///
@@ -24,47 +49,28 @@ impl IntegerSearch {
         (left_out, prior): (SatelliteId, f64),
         question: &IntegerQuestion<'_>,
     ) -> Option<Separated> {
-        let IntegerQuestion { time, float, noise, options } = *question;
-        let list = arcs.list();
-        let is_eligible = |arc: &CarrierArc| {
-            let remains = arc.last == time && arc.satellite != left_out && arc.held.is_some();
-            remains && may_be_integer(arc, options)
-        };
-        self.differences.form(list, is_eligible, float);
-        self.differences.pairs.retain(|pair| pair.known.is_some());
-        if self.differences.pairs.len() < options.fixed_min {
-            return None;
-        }
-        let (joint, all) = (self.differences.joint(float), self.differences.which(|_| true));
-        let lambda = any_integers(&lambda_options(options, noise.scale), all.len());
-        let found = self.search(list, &joint, &all, &all, &lambda)?;
-        let stated = bonferroni(noise.odds_divisor, found.probability?);
-        let agrees = self.compare_with_known(&all)[1] == 0;
-        let odds = match agrees {
-            true => 1.0,
-            false => self.odds_of_known(&joint, &all, found.squared_norm?, noise.scale)?,
-        };
+        let IntegerQuestion { noise, options, .. } = *question;
+        let (list, pairs) = (arcs.list(), &self.differences.pairs);
+        let is_left_out = |arc: usize| list[arc].satellite == left_out;
+        let entries = (0..pairs.len()).filter(|&i| is_left_out(pairs[i].arc)).map(|i| vec![i]);
+        let mut references: Vec<usize> = pairs.iter().map(|pair| pair.reference).collect();
+        references.sort_unstable();
+        references.dedup();
+        let groups = references.into_iter().filter(|&reference| is_left_out(reference));
+        let of =
+            |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
+        let lambda = lambda_options(options, noise.scale);
+        let found = self.separation.without(entries.chain(groups.map(of)), &lambda)?;
+        let stated = bonferroni(noise.odds_divisor, found.probability);
         let verdict = if stated < LIKELY {
             Verdict::Silent
-        } else if agrees {
+        } else if found.agrees {
             Verdict::Agrees
-        } else if scale_odds(odds, prior) < LIKELY {
+        } else if scale_odds(found.odds, prior) < LIKELY {
             Verdict::Contradicts
         } else {
             Verdict::Silent
         };
-        Some(Separated { verdict, probability: stated * odds })
-    }
-
-    /// Odds of the known integers of the pairs `all` against others of the squared norm `best`.
-    fn odds_of_known(
-        &self,
-        joint: &Joint,
-        all: &[usize],
-        best: f64,
-        scale: KnownScale,
-    ) -> Option<f64> {
-        let (_, own) = condition(joint, all, &self.known_values(all), &[])?;
-        Some(odds_at_scale([own, best.min(own)], all.len(), scale))
+        Some(Separated { verdict, probability: stated * found.odds })
     }
 }

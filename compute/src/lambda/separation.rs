@@ -1,0 +1,152 @@
+//! Known integers, tested by searches without some of the entries.
+//!
+//! All entries are decorrelated once; each search leaves out a few from there.
+
+use nalgebra::DMatrix;
+
+use crate::lambda::reduction::Reduction;
+use crate::lambda::resolver::Options;
+use crate::lambda::search::{Search, SearchLimits, SearchOutcome};
+use crate::lambda::validation::{posterior, ratio};
+use crate::lambda::{LambdaError, odds_at_scale};
+
+/// What a search without some of the entries says about the known integers.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Separated {
+    /// Whether it finds them again.
+    pub(crate) agrees: bool,
+    /// Posterior probability of the integers that it finds.
+    pub(crate) probability: f64,
+    /// Odds of the known integers against these.
+    pub(crate) odds: f64,
+}
+
+/// A decorrelated estimate with known integers. Its buffers are used again.
+#[derive(Clone, Debug)]
+pub(crate) struct Separation {
+    whole: Reduction,
+    part: Reduction,
+    search: Search,
+    weights: Vec<f64>,
+}
+
+impl Separation {
+    /// Room for `size` entries; it grows for more.
+    pub(crate) fn with_capacity(size: usize) -> Self {
+        Self {
+            whole: Reduction::with_capacity(size),
+            part: Reduction::with_capacity(size),
+            search: Search::with_capacity(size),
+            weights: Vec::with_capacity(size),
+        }
+    }
+
+    /// Decorrelates floats less their known integers, n of them, with a covariance of n×n.
+    ///
+    /// # Errors
+    /// No entry, a covariance that is not positive definite, or one that is badly conditioned.
+    pub(crate) fn load(
+        &mut self,
+        off: impl Iterator<Item = f64>,
+        covariance: &DMatrix<f64>,
+    ) -> Result<(), LambdaError> {
+        self.whole.reduce(off, covariance.iter().copied())
+    }
+
+    /// Searches without what `left_out` names: an entry by its index, a common reference of
+    /// differences by the indices of all of these. `None` if fewer than `options.fixed_min` entries
+    /// are left, or the search does not end.
+    pub(crate) fn without(
+        &mut self,
+        left_out: impl Iterator<Item = impl IntoIterator<Item = usize>>,
+        options: &Options,
+    ) -> Option<Separated> {
+        self.part.copy_from(&self.whole);
+        for indices in left_out {
+            self.weights.clear();
+            self.weights.resize(self.whole.size(), 0.0);
+            indices.into_iter().for_each(|i| self.weights[i] = 1.0);
+            self.part.leave_out(&mut self.weights).ok()?;
+        }
+        if self.part.size() < options.fixed_min.max(1) {
+            return None;
+        }
+        let limits =
+            SearchLimits { candidates: options.candidates.max(2), nodes: options.nodes_max };
+        let outcome = self.search.run(&self.part, limits);
+        let norms = self.search.norms();
+        if matches!(outcome, SearchOutcome::LimitReached { .. }) || ratio(norms).is_none() {
+            return None;
+        }
+        let probability = posterior(norms, self.part.variances(), options.scale);
+        let agrees = self.search.candidate(0).iter().all(|integer| *integer == 0.0);
+        let odds = match (agrees, options.scale) {
+            (false, Some(scale)) => {
+                let own = self.part.squared_norm();
+                odds_at_scale([own, norms[0].min(own)], self.part.size(), scale)
+            }
+            (false, None) => (0.5 * (norms[0] - self.part.squared_norm())).exp().min(1.0),
+            (true, _) => 1.0,
+        };
+        Some(Separated { agrees, probability, odds })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lambda::tests::{Random, options};
+    use crate::lambda::{Partial, Resolver};
+
+    /// Entries left out one at a time, two at a time, and as the reference of differences: the same
+    /// probability as a search among the entries that remain, differenced anew.
+    #[test]
+    fn as_if_the_entries_had_never_been() {
+        let mut random = Random(23);
+        let (size, limits) = (9, Options { probability_min: 0.0, ..options() });
+        for _ in 0..20 {
+            let covariance = random.covariance(size, 0.08, 30.0);
+            let float = random.float(&covariance);
+            let mut separation = Separation::with_capacity(size);
+            separation.load(float.iter().copied(), &covariance).unwrap();
+            for left_out in [vec![vec![0]], vec![vec![3], vec![7]], vec![(2..size).collect()]] {
+                let found = separation.without(left_out.iter().cloned(), &limits).unwrap();
+                let alone = |i: &usize| !left_out.contains(&vec![*i]);
+                let kept: Vec<usize> = (0..size).filter(alone).collect();
+                // Without their reference the others are differences from entry 2.
+                let is_reference = 1 < left_out[0].len();
+                let rows = DMatrix::from_fn(size, size, |i, j| {
+                    let minus = is_reference && 2 < i && j == 2;
+                    f64::from(u8::from(i == j)) - f64::from(u8::from(minus))
+                });
+                let kept: Vec<usize> =
+                    kept.into_iter().filter(|i| !(is_reference && *i == 2)).collect();
+                let all = &rows * &covariance * rows.transpose();
+                let moved = &rows * nalgebra::DVector::from_column_slice(&float);
+                let n = kept.len();
+                let part = DMatrix::from_fn(n, n, |i, j| all[(kept[i], kept[j])]);
+                let floats: Vec<f64> = kept.iter().map(|&i| moved[i]).collect();
+                let mut resolver = Resolver::with_capacity(size);
+                let direct = resolver.resolve(&floats, &part, Partial::None, &limits).unwrap();
+                assert!((found.probability - direct.probability.unwrap()).abs() < 1e-9);
+                let zero = resolver.fix().entries().iter().all(|z| *z == Some(0));
+                assert_eq!(found.agrees, zero, "{left_out:?}");
+            }
+        }
+    }
+
+    /// Known integers that are not the best: the odds are those of the two squared norms.
+    #[test]
+    fn odds_worked_by_hand() {
+        let mut separation = Separation::with_capacity(2);
+        let covariance = DMatrix::from_diagonal_element(2, 2, 0.04);
+        // One entry is left, 0.8 off the known integer and −0.2 off the best one: norms 16 and 1.
+        separation.load([0.1, 0.8].into_iter(), &covariance).unwrap();
+        let found = separation.without([[0]].into_iter(), &options()).unwrap();
+        assert!(!found.agrees && (found.odds - (-7.5_f64).exp()).abs() < 1e-12);
+        let (strict, none) =
+            (Options { fixed_min: 2, ..options() }, std::iter::empty::<[usize; 1]>());
+        assert_eq!(separation.without([[0]].into_iter(), &strict), None);
+        assert!(!separation.without(none, &strict).unwrap().agrees);
+    }
+}
