@@ -4,8 +4,9 @@
 //!
 //! `reduction` decorrelates Q by a unimodular Z, `search` enumerates the ellipsoid for the best
 //! integers, `success` and `validation` give their reliability, `resolver` combines these and fixes
-//! a subset when the full set is too weak. `separation` tests known integers without some entries. The physical meaning of the integers, and their effect
-//! on real-valued parameters, is the caller's concern.
+//! a subset when the full set is too weak. `separation` tests known integers without some of the
+//! entries. The physical meaning of the integers, and their effect on real-valued parameters, is
+//! the caller's concern.
 //!
 //! Sources: Teunissen (1995), *The least-squares ambiguity decorrelation adjustment*;
 //! de Jonge & Tiberius (1996), *The LAMBDA method for integer ambiguity estimation: implementation

@@ -97,8 +97,8 @@ impl Reduction {
         }
     }
 
-    /// Decorrelates floats â, n of them, with a covariance of n² entries, column-major. Replaces the
-    /// previous result.
+    /// Decorrelates floats â, n of them, with a covariance of n² entries, column-major. Replaces
+    /// the previous result.
     ///
     /// # Errors
     /// `Empty`, `NotPositiveDefinite`, `Overflow`.
@@ -123,13 +123,13 @@ impl Reduction {
         self.variances.clone_from(&other.variances);
         self.steps.clone_from(&other.steps);
         self.floats.clone_from(&other.floats);
-        self.scale.clone_from(&other.scale);
     }
 
-    /// Leaves out an entry, so that the others are combinations of original entries with
-    /// Σ weight·coefficient = 0: with one weight of one, those without that original entry; with
-    /// ones for differences from a common reference, those without the reference. `weights` are
-    /// integers, n of them; they are overwritten.
+    /// Leaves out one decorrelated entry, so that the others are those combinations of original
+    /// entries whose coefficients times `weights` add up to zero. If one weight is 1 and the others
+    /// are 0, they are the combinations without that original entry; if the weights of all
+    /// differences from a common reference are 1, those without the reference. The n weights are
+    /// integers; they are overwritten.
     ///
     /// # Errors
     /// `Overflow`.

@@ -399,6 +399,7 @@ mod tests {
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
     use crate::gnss::{Band, Constellation, ObservationCode, SatelliteId};
+    use crate::positioning::rtk::ambiguity::Verdict;
     use crate::positioning::rtk::observed::{HeldInteger, Receivers, Residuals};
 
     const N: usize = 7;
@@ -562,6 +563,30 @@ mod tests {
             let resolution = resolved(&mut arcs, &mut hold, float);
             assert_eq!(resolution.outcome.unwrap().held, N - 1);
             assert_eq!(new(&arcs), expected);
+        }
+    }
+
+    /// Right integers are found again without any satellite, also without the reference. If one of
+    /// them is a cycle off, they are without its satellite only.
+    #[test]
+    fn searches_without_a_satellite_find_who_is_wrong() {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let noise = Receivers::new().known_noise(&Residuals::NONE);
+        let (time, float) = (GpsTime::EPOCH, float());
+        let question = IntegerQuestion { time, float: &float, noise, options: &options.rtk };
+        for (wrong, reference) in [(None, 2), (Some(4), 2), (Some(2), 2)] {
+            let mut arcs = arcs(reference);
+            let off = |k: usize| i64::from(wrong == Some(k));
+            hold_all(&mut arcs, (0..N).map(|k| (k * k) as i64 + off(k)));
+            let mut search = IntegerSearch::default();
+            assert!(search.prepare_separation(&arcs, &question));
+            for k in 0..N {
+                let left_out = arcs.list()[k].satellite;
+                let found = search.separate(&arcs, (left_out, 0.5), &question).unwrap();
+                let is_right = wrong.is_none_or(|wrong| wrong == k);
+                assert_eq!(found.verdict == Verdict::Agrees, is_right, "{wrong:?}, without {k}");
+                assert_eq!(0.9 < found.probability, is_right, "{}", found.probability);
+            }
         }
     }
 
