@@ -94,7 +94,8 @@ async fn a_silent_reader_is_closed() {
     drop(stream);
 }
 
-/// Connections in their handshake count, and need the memory of 16 kB each.
+/// Connections in their handshake count. Each takes 16 kB from its peer at most, and some 105 kB of
+/// resident memory with all buffers.
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn many_half_handshakes_need_little_memory() {
@@ -119,7 +120,7 @@ async fn many_half_handshakes_need_little_memory() {
     }
     assert!(is_served(server.port, &authority).await);
     let more = resident_bytes(server.process()).saturating_sub(idle);
-    assert!(more < 48 << 20, "{more} bytes for {} handshakes", hostile.len());
+    assert!(more < 72 << 20, "{more} bytes for {} handshakes", hostile.len());
     // Beyond the limit of connections nobody begins a handshake.
     for _ in 0..20 {
         hostile.push(sent(server.port, &half).await);
