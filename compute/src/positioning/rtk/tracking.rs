@@ -157,9 +157,8 @@ impl Tracking {
         satellites.sort_unstable();
         satellites.dedup();
         let prior = if was_confirmed { CONFIRMED } else { UNKNOWN };
-        let is_possible = search.prepare_separation(arcs, question);
-        let test =
-            |satellite| search.separate(arcs, (satellite, prior), question).filter(|_| is_possible);
+        let mut separator = search.separator(arcs, question);
+        let test = |satellite| separator.as_mut()?.without(satellite, prior);
         let verdict = confirmation.update(&satellites, test);
         hold.reliability = confirmation.reliability();
         if was_confirmed && !confirmation.is_confirmed() {

@@ -579,15 +579,16 @@ mod tests {
             let off = |k: usize| i64::from(wrong == Some(k));
             hold_all(&mut arcs, (0..N).map(|k| (k * k) as i64 + off(k)));
             let mut search = IntegerSearch::default();
-            assert!(search.prepare_separation(&arcs, &question));
+            let mut separator = search.separator(&arcs, &question).unwrap();
             for k in 0..N {
-                let left_out = arcs.list()[k].satellite;
-                let found = search.separate(&arcs, (left_out, 0.5), &question).unwrap();
+                let found = separator.without(arcs.list()[k].satellite, 0.5).unwrap();
                 let is_right = wrong.is_none_or(|wrong| wrong == k);
                 assert_eq!(found.verdict == Verdict::Agrees, is_right, "{wrong:?}, without {k}");
                 assert_eq!(0.9 < found.probability, is_right, "{}", found.probability);
             }
         }
+        // Without integers there is nothing to search.
+        assert!(IntegerSearch::default().separator(&arcs(2), &question).is_none());
     }
 
     /// Integers that leave the position uncertain by more than 5 cm, or the height by more than

@@ -13,14 +13,20 @@ use super::joint::{bonferroni, scale_odds};
 /// Integers found without one satellite count if they are more likely right than wrong.
 const LIKELY: f64 = 0.5;
 
+/// Searches for the held integers of an epoch without one satellite, after one decorrelation.
+pub(crate) struct Separator<'a> {
+    search: &'a mut IntegerSearch,
+    arcs: &'a Arcs,
+    question: &'a IntegerQuestion<'a>,
+}
+
 impl IntegerSearch {
-    /// Decorrelates the ambiguities of the held integers, for [`Self::separate`]. Returns whether
-    /// there are enough of them.
-    pub(crate) fn prepare_separation(
-        &mut self,
-        arcs: &Arcs,
-        question: &IntegerQuestion<'_>,
-    ) -> bool {
+    /// Decorrelates the ambiguities of the held integers. `None` where there are too few of them.
+    pub(crate) fn separator<'a>(
+        &'a mut self,
+        arcs: &'a Arcs,
+        question: &'a IntegerQuestion<'a>,
+    ) -> Option<Separator<'a>> {
         let IntegerQuestion { time, float, options, .. } = *question;
         let is_eligible = |arc: &CarrierArc| {
             arc.last == time && arc.held.is_some() && may_be_integer(arc, options)
@@ -29,28 +35,26 @@ impl IntegerSearch {
         self.differences.pairs.retain(|pair| pair.known.is_some());
         let n = self.differences.pairs.len();
         if n < options.fixed_min {
-            return false;
+            return None;
         }
         let joint = self.differences.joint(float);
         let known = self.differences.pairs.iter().filter_map(|pair| pair.known);
         let off = known.enumerate().map(|(i, known)| joint.estimate[3 + i] - known as f64);
         let covariance = DMatrix::from_fn(n, n, |i, j| joint.covariance[(3 + i, 3 + j)]);
-        self.separation.load(off, &covariance).is_ok()
+        self.separation.load(off, &covariance).ok()?;
+        Some(Separator { search: self, arcs, question })
     }
+}
 
+impl Separator<'_> {
     /// Searches without one satellite: its verdict on the held integers, whose probability is
     /// `prior`, and the probability that it gives to them. `None` where too few are left.
     ///
     /// It agrees if it finds them again. It contradicts them if other integers are likely, and
     /// likelier than the held ones in spite of their prior odds.
-    pub(crate) fn separate(
-        &mut self,
-        arcs: &Arcs,
-        (left_out, prior): (SatelliteId, f64),
-        question: &IntegerQuestion<'_>,
-    ) -> Option<Separated> {
-        let IntegerQuestion { noise, options, .. } = *question;
-        let (list, pairs) = (arcs.list(), &self.differences.pairs);
+    pub(crate) fn without(&mut self, left_out: SatelliteId, prior: f64) -> Option<Separated> {
+        let IntegerQuestion { noise, options, .. } = *self.question;
+        let (list, pairs) = (self.arcs.list(), &self.search.differences.pairs);
         let is_left_out = |arc: usize| list[arc].satellite == left_out;
         let entries = (0..pairs.len()).filter(|&i| is_left_out(pairs[i].arc)).map(|i| vec![i]);
         let mut references: Vec<usize> = pairs.iter().map(|pair| pair.reference).collect();
@@ -60,7 +64,7 @@ impl IntegerSearch {
         let of =
             |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
         let lambda = lambda_options(options, noise.scale);
-        let found = self.separation.without(entries.chain(groups.map(of)), &lambda)?;
+        let found = self.search.separation.without(entries.chain(groups.map(of)), &lambda)?;
         let stated = bonferroni(noise.odds_divisor, found.probability);
         let verdict = if stated < LIKELY {
             Verdict::Silent
