@@ -42,7 +42,7 @@ use crate::keys::Keys;
 use crate::quotas::TenantQuotas;
 use crate::secrets::{Secrets, SecretsError, SecretsKey};
 use crate::session::{SessionLimits, Sessions};
-use crate::store::Store;
+use crate::store::{DatabaseSetting, Store};
 use crate::tls::{ClientFiles, ClientTls, ServerTls};
 use crate::traces::{Exporter, TraceOptions, TracesError};
 
@@ -152,7 +152,7 @@ fn nodes(cluster: Cluster, configuration: &ClusterConfiguration) -> Result<Nodes
 }
 
 /// Opens the database as its only service, or as a node of its cluster, and logs the settings on
-/// which durability depends.
+/// which durability and space depend.
 async fn open_store(
     database: &str,
     node: &str,
@@ -172,11 +172,10 @@ async fn open_store(
             tracing::warn!("clusters are a preview: docs/cluster.md lists what is not shown yet");
         }
     }
-    for setting in store.durability() {
-        let (name, value) = (setting.name, &setting.value);
-        match setting.is_safe {
-            true => tracing::info!(name, value, "database setting"),
-            false => tracing::warn!(name, value, "a power failure may lose acknowledged data"),
+    for DatabaseSetting { name, value, risk } in store.settings() {
+        match risk {
+            None => tracing::info!(name, value, "database setting"),
+            Some(risk) => tracing::warn!(name, value, "{}", risk.words()),
         }
     }
     if let Err(error) = encrypt_secrets(&store).await {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::cluster::Cluster;
-use crate::store::{CommitterHealth, CommitterState, Store};
+use crate::store::{CommitterHealth, CommitterState, DatabaseSetting, SettingRisk, Store};
 
 use super::Service;
 use super::refusal::{RETRY_AFTER, spread};
@@ -56,7 +56,7 @@ pub(crate) struct DatabaseReadiness {
     /// Bytes that the disk of the database file has left; absent for a server.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub free_bytes: Option<u64>,
-    /// Settings on which durability depends, by name, as they were at the start.
+    /// Settings on which durability and space depend, by name, as they were at the start.
     pub settings: BTreeMap<&'static str, String>,
     /// Settings with which a power failure may lose acknowledged data.
     pub unsafe_settings: Vec<&'static str>,
@@ -94,13 +94,14 @@ impl Service {
         if let Err(error) = store.check_reads().await {
             problems.push(error.to_string());
         }
+        let clock = self.sessions().clock_ahead().map(clock_warning);
         let retry_after = (!problems.is_empty()).then(|| spread(RETRY_AFTER));
         Readiness {
             node: self.node().to_owned(),
             ready: problems.is_empty(),
             retry_after_ms: retry_after.map(|delay| delay.as_millis() as u64),
             problems,
-            warnings: self.sessions().clock_ahead().map(clock_warning).into_iter().collect(),
+            warnings: clock.into_iter().chain(growth_warning(store)).collect(),
             draining,
             database: database(store, &health, free_bytes),
             cluster: self.nodes().map(|nodes| cluster(&nodes.cluster, store)),
@@ -141,15 +142,22 @@ fn clock_warning(ahead: Duration) -> String {
     )
 }
 
+/// Warns of a database that grows for ever.
+fn growth_warning(store: &Store) -> Option<String> {
+    let grows = |setting: &&DatabaseSetting| setting.risk == Some(SettingRisk::Growth);
+    let DatabaseSetting { name, value, .. } = store.settings().iter().find(grows)?;
+    Some(format!("{name} of the database is {value}: {}", SettingRisk::Growth.words()))
+}
+
 fn database(store: &Store, health: &CommitterHealth, free_bytes: Option<u64>) -> DatabaseReadiness {
-    let settings = store.durability();
-    let unsafe_settings = settings.iter().filter(|setting| !setting.is_safe);
+    let settings = store.settings();
+    let is_unsafe = |setting: &&DatabaseSetting| setting.risk == Some(SettingRisk::PowerFailure);
     DatabaseReadiness {
         confirmed_ms_ago: health.silence().as_millis() as u64,
         failures: health.failures,
         panics: health.panics,
         free_bytes,
         settings: settings.iter().map(|setting| (setting.name, setting.value.clone())).collect(),
-        unsafe_settings: unsafe_settings.map(|setting| setting.name).collect(),
+        unsafe_settings: settings.iter().filter(is_unsafe).map(|setting| setting.name).collect(),
     }
 }

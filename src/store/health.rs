@@ -54,13 +54,32 @@ impl CommitterHealth {
     }
 }
 
-/// A setting of the database on which durability depends.
+/// A setting of the database that matters for what is stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DurabilitySetting {
+pub struct DatabaseSetting {
     /// Its name in the database.
     pub name: &'static str,
     /// Its value on the committer's connection.
     pub value: String,
-    /// Whether a power failure may lose or damage acknowledged data with this value.
-    pub is_safe: bool,
+    /// What may happen with this value; `None` if it is right.
+    pub risk: Option<SettingRisk>,
+}
+
+/// What may happen with a wrong setting of the database.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SettingRisk {
+    /// A power failure loses or damages acknowledged data.
+    PowerFailure,
+    /// The database grows for ever.
+    Growth,
+}
+
+impl SettingRisk {
+    /// The risk in words.
+    pub const fn words(self) -> &'static str {
+        match self {
+            Self::PowerFailure => "a power failure may lose acknowledged data",
+            Self::Growth => "the space of removed rows is not used again",
+        }
+    }
 }

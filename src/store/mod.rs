@@ -7,7 +7,7 @@
 //!
 //! # Durability
 //! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk. On
-//! Postgres a connection sets `synchronous_commit` where it is off. [`Store::durability`] lists
+//! Postgres a connection sets `synchronous_commit` where it is off. [`Store::settings`] lists
 //! what else the server's settings say.
 //! [`Store::commit`] passes epochs and solutions to the committer. It writes those of many sessions
 //! in one transaction, and answers each session when the transaction is committed.
@@ -80,7 +80,7 @@ pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub(crate) use heads::SCANNED_HEADS;
 pub use heads::SessionHead;
-pub use health::{CommitterHealth, CommitterState, DurabilitySetting};
+pub use health::{CommitterHealth, CommitterState, DatabaseSetting, SettingRisk};
 pub use history::{FleetHour, HistoryFilter, SessionSummary};
 pub use jobs::{
     DeliveryAttempt, DeliveryEnd, DueWebhook, JobClaim, JobEnd, JobFilesRow, JobKey, JobProgress,
@@ -125,7 +125,7 @@ pub struct Store {
     key_pool: Pool,
     committer: Committer,
     task: Arc<Mutex<Option<JoinHandle<()>>>>,
-    durability: Arc<[DurabilitySetting]>,
+    settings: Arc<[DatabaseSetting]>,
     folder: Option<Arc<Path>>,
     file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
@@ -190,7 +190,7 @@ impl Store {
             database.migrate().await?;
         }
         let connector = connector.with_member(member.clone());
-        let durability = connector.durability().await?.into();
+        let settings = connector.settings().await?.into();
         let days = connector.days();
         let (committer, task) = Committer::start(connector, Timing::service()).await?;
         let task = Arc::new(Mutex::new(Some(task)));
@@ -201,7 +201,7 @@ impl Store {
             key_pool,
             committer,
             task,
-            durability,
+            settings,
             folder,
             file,
             lease,
@@ -257,14 +257,14 @@ impl Store {
         let folder = database.folder().map(Into::into);
         let file = database.file().map(Into::into);
         let (committer, task) = (Committer::stopped(), Arc::default());
-        let (durability, lease, days) = (Arc::new([]), None, Arc::default());
+        let (settings, lease, days) = (Arc::new([]), None, Arc::default());
         let (member, node) = (None, "".into());
         Self {
             pool,
             key_pool,
             committer,
             task,
-            durability,
+            settings,
             folder,
             file,
             lease,
@@ -293,9 +293,9 @@ impl Store {
         &self.secrets
     }
 
-    /// The settings of the database on which durability depends, as they were at the start.
-    pub fn durability(&self) -> &[DurabilitySetting] {
-        &self.durability
+    /// The settings of the database that matter for what is stored, as they were at the start.
+    pub fn settings(&self) -> &[DatabaseSetting] {
+        &self.settings
     }
 
     /// What the committer reports of itself.

@@ -4,7 +4,7 @@
 use std::time::{Duration, Instant};
 
 use graphfix::session::{SessionError, SessionId, Sessions};
-use graphfix::store::{CommitterState, Store};
+use graphfix::store::{CommitterState, DatabaseSetting, SettingRisk, Store};
 use sqlx::{Connection, PgConnection, SqliteConnection};
 
 use crate::support::database::{Database, on_both_databases, on_postgres, whole_session};
@@ -14,7 +14,7 @@ use crate::support::wait::until;
 on_both_databases!(
     a_locked_database_is_refused_and_served_again,
     a_store_opened_to_read_changes_nothing,
-    the_settings_of_durability_are_reported,
+    the_settings_of_the_database_are_reported,
 );
 
 /// The deadline of a commit is 5 s.
@@ -112,16 +112,20 @@ async fn a_store_opened_to_read_changes_nothing(database: Database) {
     assert_eq!(error.code().name(), "DATABASE_SCHEMA_OLDER", "{error}");
 }
 
-async fn the_settings_of_durability_are_reported(database: Database) {
+async fn the_settings_of_the_database_are_reported(database: Database) {
     let store = database.store().await;
-    let names: Vec<_> = store.durability().iter().map(|setting| setting.name).collect();
+    let names: Vec<_> = store.settings().iter().map(|setting| setting.name).collect();
     let expected: &[&str] = match database.url.starts_with("sqlite") {
         true => &["journal_mode", "synchronous"],
-        false => &["synchronous_commit", "fsync", "full_page_writes"],
+        false => &["synchronous_commit", "fsync", "full_page_writes", "autovacuum"],
     };
     assert_eq!(names, expected);
-    let synchronous = store.durability().iter().find(|s| s.name.starts_with("synchronous"));
-    assert!(synchronous.unwrap().is_safe);
+    let synchronous = store.settings().iter().find(|s| s.name.starts_with("synchronous"));
+    assert_eq!(synchronous.unwrap().risk, None);
+    let risk_of_growth = store.settings().iter().find(|s| s.name == "autovacuum");
+    for DatabaseSetting { value, risk, .. } in risk_of_growth {
+        assert_eq!(*risk, (value == "off").then_some(SettingRisk::Growth));
+    }
 }
 
 /// A role or server with `synchronous_commit` off would acknowledge epochs that a power failure
@@ -131,7 +135,7 @@ async fn commits_are_durable_whatever_the_server_says() {
     on_postgres(async |database| {
         let url = format!("{}&options[synchronous_commit]=off", database.url);
         let store = Store::open(&url).await.unwrap();
-        let setting = &store.durability()[0];
+        let setting = &store.settings()[0];
         assert_eq!((setting.name, &*setting.value), ("synchronous_commit", "on"));
     })
     .await;

@@ -14,7 +14,7 @@ use crate::store::StoreError;
 use crate::store::database::{Database, POSTGRES_DURABLE};
 use crate::store::days::{Days, make_day};
 use crate::store::deadline::DEADLINE;
-use crate::store::health::DurabilitySetting;
+use crate::store::health::{DatabaseSetting, SettingRisk};
 
 use super::heads::{Owner, accepted_postgres};
 use super::lease_row::{NEXT_FENCE, OWNER, PROBE};
@@ -89,8 +89,8 @@ impl Connector {
         self.days.clone()
     }
 
-    /// The settings of the database on which durability depends.
-    pub(in crate::store) async fn durability(&self) -> Result<Vec<DurabilitySetting>, StoreError> {
+    /// The settings of the database on which durability and space depend.
+    pub(in crate::store) async fn settings(&self) -> Result<Vec<DatabaseSetting>, StoreError> {
         let link = self.connected().await.map_err(StoreError::database(CONNECTING))?;
         let read = async {
             match link {
@@ -330,12 +330,14 @@ fn connection_name(database: &Database) -> String {
 
 async fn postgres_settings(
     mut connection: PgConnection,
-) -> Result<Vec<DurabilitySetting>, sqlx::Error> {
+) -> Result<Vec<DatabaseSetting>, sqlx::Error> {
     let mut settings = Vec::new();
-    for name in ["synchronous_commit", "fsync", "full_page_writes"] {
+    let of_durability = ["synchronous_commit", "fsync", "full_page_writes"];
+    let named = of_durability.map(|name| (name, SettingRisk::PowerFailure));
+    for (name, risk) in named.into_iter().chain([("autovacuum", SettingRisk::Growth)]) {
         let value = sqlx::query_scalar("SELECT current_setting($1)").bind(name);
         let value: String = value.fetch_one(&mut connection).await?;
-        settings.push(DurabilitySetting { name, is_safe: value != "off", value });
+        settings.push(DatabaseSetting { name, risk: (value == "off").then_some(risk), value });
     }
     Ok(settings)
 }

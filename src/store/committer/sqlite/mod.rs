@@ -23,7 +23,7 @@ use rusqlite::{Connection, OpenFlags};
 use tokio::sync::oneshot;
 
 use crate::store::database::{BUSY_TIMEOUT, CHECKPOINT_PAGES};
-use crate::store::health::DurabilitySetting;
+use crate::store::health::{DatabaseSetting, SettingRisk};
 
 use super::batch::Batch;
 use super::heads::Owner;
@@ -118,16 +118,16 @@ impl SqliteThread {
     }
 
     /// The settings of the connection on which durability depends.
-    pub(super) async fn settings(&self) -> Result<Vec<DurabilitySetting>, sqlx::Error> {
+    pub(super) async fn settings(&self) -> Result<Vec<DatabaseSetting>, sqlx::Error> {
         let (mode, synchronous) = self.run(|writer| writer.settings()).await?;
         let full = 2;
+        let setting = |name, value: String, is_safe: bool| {
+            let risk = (!is_safe).then_some(SettingRisk::PowerFailure);
+            DatabaseSetting { name, value, risk }
+        };
         Ok(vec![
-            DurabilitySetting { name: "journal_mode", is_safe: mode == "wal", value: mode },
-            DurabilitySetting {
-                name: "synchronous",
-                value: synchronous.to_string(),
-                is_safe: full <= synchronous,
-            },
+            setting("journal_mode", mode.clone(), mode == "wal"),
+            setting("synchronous", synchronous.to_string(), full <= synchronous),
         ])
     }
 
