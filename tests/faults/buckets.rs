@@ -42,6 +42,13 @@ fn left(folder: &Path) -> usize {
     std::fs::read_dir(folder.join("incoming")).unwrap().count()
 }
 
+/// Each request must have the signature that Amazon's own code computes; `moto` takes any.
+fn check_signatures(buckets: &Buckets) {
+    let (requests, right) = buckets.signed_with("a-secret");
+    assert!(0 < requests && right == requests, "{right} of {requests}");
+    assert_eq!(buckets.signed_with("another"), (requests, 0));
+}
+
 /// Files that are uploaded, computed, repeated, deleted and expired.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_job_has_its_files_in_a_bucket() {
@@ -77,6 +84,7 @@ async fn a_job_has_its_files_in_a_bucket() {
     doors.service.jobs().remove_expired().await.unwrap();
     assert_eq!(buckets.names("of/us/"), ["folder.id"]);
     doors.close().await;
+    check_signatures(&buckets);
 }
 
 /// Appends to an upload of several requests.
@@ -135,6 +143,7 @@ async fn a_large_file_goes_up_in_parts() {
     let (status, problem) = appended(&doors, &upload, &other).await;
     assert_eq!((status.as_u16(), code(&problem)), (429, "JOB_SPACE_EXHAUSTED"), "{problem}");
     doors.close().await;
+    check_signatures(&buckets); // Parts, too.
 }
 
 fn blake3_of(content: &[u8]) -> String {

@@ -2,7 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -37,6 +37,8 @@ pub(crate) struct Buckets {
     port: u16,
     proxy: u16,
     fault: Arc<Mutex<Fault>>,
+    /// Method and address of each request.
+    requests: Arc<Mutex<Vec<String>>>,
 }
 
 impl Drop for Buckets {
@@ -58,15 +60,16 @@ impl Buckets {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let proxy = listener.local_addr().unwrap().port();
         let fault = Arc::new(Mutex::new(Fault::None));
-        let shared = fault.clone();
+        let requests = Arc::<Mutex<Vec<String>>>::default();
+        let shared = (fault.clone(), requests.clone());
         thread::spawn(move || {
             for client in listener.incoming().flatten() {
-                let fault = shared.clone();
+                let (fault, requests) = shared.clone();
                 // Err: either end has closed its connection.
-                thread::spawn(move || forward(client, port, &fault).ok());
+                thread::spawn(move || forward(client, port, &fault, &requests).ok());
             }
         });
-        let buckets = Self { server, python, port, proxy, fault };
+        let buckets = Self { server, python, port, proxy, fault, requests };
         let connects = async || TcpStream::connect(("127.0.0.1", port)).is_ok();
         until("an S3 service", connects, |is_there| *is_there).await;
         buckets.ask(&["create"]);
@@ -83,9 +86,24 @@ impl Buckets {
         *self.fault.lock().unwrap()
     }
 
+    /// How many requests came through the proxy, and how many of them Amazon's own code would have
+    /// signed so with this secret.
+    pub(crate) fn signed_with(&self, secret: &str) -> (usize, usize) {
+        let script = python_script("signatures.py");
+        let mut command = Command::new(&self.python);
+        let piped = command.arg(script).arg(secret).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let mut checking = piped.spawn().unwrap();
+        let requests = self.requests.lock().unwrap().clone();
+        checking.stdin.take().unwrap().write_all(requests.join("\n").as_bytes()).unwrap();
+        let output = checking.wait_with_output().unwrap();
+        assert!(output.status.success(), "the addresses were not understood");
+        let right = String::from_utf8(output.stdout).unwrap().trim().parse().unwrap();
+        (requests.len(), right)
+    }
+
     /// Lets Amazon's client do something.
     pub(crate) fn ask(&self, arguments: &[&str]) -> Vec<u8> {
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/python/bucket.py");
+        let script = python_script("bucket.py");
         let endpoint = format!("http://127.0.0.1:{}", self.port);
         let mut command = Command::new(&self.python);
         let output = command.arg(script).arg(endpoint).args(arguments).output().unwrap();
@@ -123,14 +141,34 @@ impl Buckets {
     }
 }
 
-/// Takes one request, and answers it as the fault says.
-fn forward(mut client: TcpStream, port: u16, fault: &Mutex<Fault>) -> std::io::Result<()> {
+fn python_script(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/support/python").join(name)
+}
+
+/// Method and address of a request.
+fn address(head: &str) -> String {
+    let mut words = head.split_ascii_whitespace();
+    let (method, path) = (words.next().unwrap(), words.next().unwrap());
+    let mut lines = head.lines().map(|line| line.split_once(": ").unwrap_or((line, "")));
+    let (_, host) = lines.find(|(name, _)| name.eq_ignore_ascii_case("host")).unwrap();
+    format!("{method} http://{host}{path}")
+}
+
+/// Takes one request, notes it, and answers it as the fault says.
+fn forward(
+    mut client: TcpStream,
+    port: u16,
+    fault: &Mutex<Fault>,
+    requests: &Mutex<Vec<String>>,
+) -> std::io::Result<()> {
     let (mut request, mut byte) = (Vec::new(), [0]);
     while !request.ends_with(b"\r\n\r\n") {
         client.read_exact(&mut byte)?;
         request.push(byte[0]);
     }
-    let head = String::from_utf8_lossy(&request).to_ascii_lowercase();
+    let head = String::from_utf8_lossy(&request);
+    requests.lock().unwrap().push(address(&head));
+    let head = head.to_ascii_lowercase();
     let length = head.split("content-length: ").nth(1).and_then(|rest| rest.lines().next());
     let mut content = vec![0; length.map_or(0, |length| length.parse().unwrap())];
     client.read_exact(&mut content)?;
