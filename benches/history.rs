@@ -4,7 +4,9 @@
 //!
 //! Devices work at an epoch a second for some minutes of each of 30 days, and one for a whole day.
 //! Their rows are written by SQL: copies of one simulated epoch with its solution, at other times.
-//! On Postgres they are in partitions of days, as the service would have made them.
+//! It is a small one, of GPS and one band, so that fifty million fit on a disk; of what is timed
+//! only the last query reads these rows. On Postgres they are in partitions of days, as the service
+//! would have made them.
 //!
 //! `GRAPHFIX_BENCH_SESSIONS=10000 GRAPHFIX_BENCH_SOLUTIONS=5000000 cargo bench --bench history`
 
@@ -16,7 +18,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use futures::{FutureExt, StreamExt};
 use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::gnss::{GpsTime, LeapSeconds};
+use graphfix::gnss::{Constellation, GpsTime, LeapSeconds};
 use graphfix::session::{
     HistoryQuery, NewSession, SequencedEpoch, SeriesQuery, SessionId, SessionLimits, Sessions,
 };
@@ -115,7 +117,13 @@ async fn created(store: &Store, devices: i64) -> Fleet {
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await;
     let aiding = aiding.expect("navigation data are read");
     let sessions = Sessions::open(store.clone(), aiding.clone(), SessionLimits::service());
-    let receiver = Simulator::new(Scenario { duration_s: 30.0, ..Scenario::open_sky() }, 1);
+    let scenario = Scenario {
+        duration_s: 30.0,
+        constellations: vec![Constellation::Gps],
+        frequencies: 1,
+        ..Scenario::open_sky()
+    };
+    let receiver = Simulator::new(Scenario { base: None, ..scenario }, 1);
     let pushed = aiding.navigation.push((**receiver.navigation()).clone(), "simulation").await;
     pushed.expect("navigation data are stored");
     let create = || async {
