@@ -65,6 +65,7 @@ pub const CALLS: &[Call] = &[
     call("Sessions/Get", "GET /v1/sessions/{session}", &[Device, Read]),
     call("Sessions/List", "GET /v1/sessions", &[Read]),
     call("Sessions/Heads", "GET /v1/sessions:heads", &[Read]),
+    call("Sessions/WatchHeads", "GET /v1/sessions:watch", &[Read]),
     call("Sessions/Update", "PATCH /v1/sessions/{session}", &[Operate]).act("Sessions.Update"),
     call("Sessions/Reset", "POST /v1/sessions/{session}:reset", &[Device, Operate])
         .act("Sessions.Reset"),
@@ -82,6 +83,7 @@ pub const CALLS: &[Call] = &[
     call("Solutions/Watch", "GET /v1/sessions/{session}/solutions:watch", &[Read]),
     call("Solutions/Track", "GET /v1/sessions/{session}/track.{format}", &[Read]),
     call("Solutions/Series", "GET /v1/sessions/{session}/solutions:series", &[Read]),
+    call("Solutions/Residuals", "GET /v1/sessions/{session}/solutions:residuals", &[Read]),
     call("Solutions/Explain", "GET /v1/sessions/{session}/epochs/{seq}", &[Read]),
     call("History/Fleet", "GET /v1/history/fleet", &[Read]),
     call("History/Sessions", "GET /v1/history/sessions", &[Read]),
@@ -280,6 +282,7 @@ mod tests {
             ("POST", "/v1/sessions/ses_1:solve", "Positioning/Solve"),
             ("POST", "/v1/sessions/a:solve:reset", "Sessions/Reset"),
             ("GET", "/v1/sessions:heads", "Sessions/Heads"),
+            ("GET", "/v1/sessions:watch", "Sessions/WatchHeads"),
             ("GET", "/v1/sessions/ses_1/solutions:watch", "Solutions/Watch"),
             ("GET", "/v1/sessions/ses_1/epochs/7", "Solutions/Explain"),
             ("GET", "/v1/sessions/ses_1/track.kml", "Solutions/Track"),

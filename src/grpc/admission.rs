@@ -37,7 +37,8 @@ const BLOCK_BYTES: usize = 64 << 10;
 const WINDOW_LOG_MAX: u32 = 23;
 
 /// Calls that answer with a stream of short messages.
-const WATCHES: [&str; 2] = ["/graphfix.v1.Solutions/Watch", "/graphfix.v1.Jobs/Watch"];
+const WATCHES: [&str; 3] =
+    ["/graphfix.v1.Solutions/Watch", "/graphfix.v1.Jobs/Watch", "/graphfix.v1.Sessions/WatchHeads"];
 
 /// Largest messages (bytes).
 #[derive(Clone, Copy, Debug)]

@@ -39,6 +39,16 @@ impl Sessions for Door {
         carry(calls::sessions::heads(&self.0.caller()?, request.into_inner()).await)
     }
 
+    type WatchHeadsStream = Answered<v1::WatchHeadsResponse>;
+
+    async fn watch_heads(
+        &self,
+        request: Request<v1::WatchHeadsRequest>,
+    ) -> Result<Response<Self::WatchHeadsStream>, Status> {
+        let messages = calls::head_watch::watch(&self.0.caller()?, request.into_inner()).await?;
+        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+    }
+
     async fn update(
         &self,
         request: Request<v1::UpdateSessionRequest>,

@@ -48,6 +48,13 @@ impl Solutions for Door {
         carry(calls::solutions::series(&self.0.caller()?, request.into_inner()).await)
     }
 
+    async fn residuals(
+        &self,
+        request: Request<v1::ResidualsRequest>,
+    ) -> Result<Response<v1::ResidualsResponse>, Status> {
+        carry(calls::solutions::residuals(&self.0.caller()?, request.into_inner()).await)
+    }
+
     async fn explain(
         &self,
         request: Request<v1::ExplainEpochRequest>,

@@ -13,6 +13,7 @@ mod download;
 mod error_page;
 mod forwarding;
 mod handshake;
+mod head_events;
 mod history;
 mod job_events;
 mod jobs;
@@ -83,6 +84,7 @@ fn controls() -> Router<Service> {
     Router::new()
         .route("/v1/sessions", get(sessions::list).post(sessions::create))
         .route("/v1/sessions:heads", get(sessions::heads))
+        .route("/v1/sessions:watch", get(head_events::events))
         .route(
             "/v1/sessions/{session}",
             // POST is `{session}:solve` or `{session}:reset`.
@@ -93,6 +95,7 @@ fn controls() -> Router<Service> {
         )
         .route("/v1/sessions/{session}/solutions", get(solutions::list))
         .route("/v1/sessions/{session}/solutions:series", get(solutions::series))
+        .route("/v1/sessions/{session}/solutions:residuals", get(solutions::residuals))
         .route("/v1/sessions/{session}/solutions:watch", get(watch::watch))
         .route("/v1/sessions/{session}/epochs/{seq}", get(solutions::explain))
         .route("/v1/sessions/{session}/observations.rnx", get(observations::observations))

@@ -11,8 +11,8 @@ use crate::contract::access::{CALLS, Call, Need};
 
 use super::problem::Problem;
 use super::{
-    audit, bases, history, job_events, jobs, keys, navigation, observations, positioning, raw,
-    sessions, sign_in, solutions, tenants, track, uploads, watch,
+    audit, bases, head_events, history, job_events, jobs, keys, navigation, observations,
+    positioning, raw, sessions, sign_in, solutions, tenants, track, uploads, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -48,6 +48,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         sessions::create,
         sessions::list,
         sessions::heads,
+        head_events::events,
         sessions::get,
         sessions::update,
         sessions::reset,
@@ -59,6 +60,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         positioning::solve_once,
         solutions::list,
         solutions::series,
+        solutions::residuals,
         history::fleet,
         history::sessions,
         history::session,

@@ -138,6 +138,40 @@ pub(super) async fn series(
     Ok(Json(calls::solutions::series(&caller, request).await?))
 }
 
+/// Which epochs to look at.
+#[derive(Clone, Debug, Default, Deserialize, IntoParams)]
+#[serde(rename_all = "camelCase", default, deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct ResidualsParameters {
+    /// First time: GPS week and seconds of week, such as `2051:46701.5`; that of the first epoch if
+    /// absent.
+    from: Option<String>,
+    /// Last time, in the same form; that of the last epoch if absent.
+    to: Option<String>,
+    /// Number of epochs at most, 1 to 500; 200 if absent. Their numbers are evenly spaced.
+    points: u32,
+}
+
+/// Returns how well the pseudoranges of evenly spaced epochs agree with their positions. For plots.
+#[utoipa::path(get, operation_id = "solutionsResiduals",
+    path = "/v1/sessions/{session}/solutions:residuals", tag = "Solutions",
+    params(("session" = String, Path, description = "Its id"), ResidualsParameters),
+    responses((status = 200, description = "The residuals of these epochs",
+        body = v1::ResidualsResponse), Refused))]
+pub(super) async fn residuals(
+    caller: Caller,
+    Path(session): Path<String>,
+    StrictQuery(query): StrictQuery<ResidualsParameters>,
+) -> Result<Json<v1::ResidualsResponse>, Refused> {
+    let request = v1::ResidualsRequest {
+        session,
+        from: query.from.map(|text| time("from", &text)).transpose()?,
+        to: query.to.map(|text| time("to", &text)).transpose()?,
+        points: query.points,
+    };
+    Ok(Json(calls::solutions::residuals(&caller, request).await?))
+}
+
 /// Returns one stored epoch with its solutions, and for each satellite where it stood, how well its
 /// pseudorange agrees with the position, and why it was not used.
 #[utoipa::path(get, operation_id = "solutionsExplain",

@@ -1,10 +1,12 @@
 //! One stored epoch with everything that explains its answer.
 
+use std::sync::Arc;
+
 use crate::aiding::rover_source;
-use crate::config::OutputOptions;
-use crate::gnss::Epoch;
+use crate::config::{OutputOptions, PositioningOptions};
+use crate::gnss::{Epoch, Navigation};
 use crate::positioning::satellite_views;
-use crate::store::{StoreError, StoredSolution};
+use crate::store::{StoreError, StoredEpoch, StoredSolution};
 
 use super::configuration::{kept_options, output};
 use super::desk::Sessions;
@@ -49,18 +51,60 @@ impl Sessions {
                 .filter(|found| found.solution.seq == seq)
                 .ok_or_else(|| SessionError::NoSuchEpoch { id: id.to_string(), seq })?,
         };
-        let (navigation, device) =
-            (&self.aiding().navigation, rover_source(self.tenant(), id.as_str()));
-        let navigation = match navigation.after(stored.navigation, &device).await {
-            Err(StoreError::NavigationForgotten { .. }) => navigation.current_for(&device),
-            found => found?,
-        };
-        let hash = &stored.solution.configuration_hash;
-        let options = kept_options(&self.store().configuration(hash).await?)?;
         let solutions = self.store().solutions_of(row.key, stored.solution.seq).await?;
-        let answer = &stored.solution.solution;
-        let satellites = satellite_views(&stored.epoch, answer, &navigation.navigation, &options);
+        let satellites = Explaining::of(self, id).satellites(&stored).await?;
         let (epoch, output) = (stored.epoch, output(&row.settings)?);
         Ok(EpochExplanation { epoch, solutions, satellites, output })
+    }
+}
+
+/// Says what satellites have done for the answers of a session's epochs. Keeps the ephemerides and
+/// options of the last epoch, which mostly are those of the next one.
+pub(super) struct Explaining<'a> {
+    sessions: &'a Sessions,
+    device: Arc<str>,
+    /// With the number of their push.
+    navigation: Option<(u64, Arc<Navigation>)>,
+    /// With the hash of their configuration.
+    options: Option<(Arc<str>, PositioningOptions)>,
+}
+
+impl<'a> Explaining<'a> {
+    pub(super) fn of(sessions: &'a Sessions, id: &SessionId) -> Self {
+        let device = rover_source(sessions.tenant(), id.as_str());
+        Self { sessions, device, navigation: None, options: None }
+    }
+
+    /// The observed satellites of an epoch, in its order, as its first answer sees them.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(super) async fn satellites(
+        &mut self,
+        stored: &StoredEpoch,
+    ) -> Result<Vec<SatelliteView>, SessionError> {
+        let navigation = self.navigation(stored.navigation).await?;
+        let hash = &stored.solution.configuration_hash;
+        let options = match self.options.take().filter(|(of, _)| of == hash) {
+            Some((_, options)) => options,
+            None => kept_options(&self.sessions.store().configuration(hash).await?)?,
+        };
+        let (_, options) = self.options.insert((hash.clone(), options));
+        let answer = &stored.solution.solution;
+        Ok(satellite_views(&stored.epoch, answer, &navigation, options))
+    }
+
+    /// The ephemerides after a push, or the present ones if those are no longer stored.
+    async fn navigation(&mut self, push: u64) -> Result<Arc<Navigation>, SessionError> {
+        if let Some((_, navigation)) = self.navigation.as_ref().filter(|(of, _)| *of == push) {
+            return Ok(navigation.clone());
+        }
+        let desk = &self.sessions.aiding().navigation;
+        let found = match desk.after(push, &self.device).await {
+            Err(StoreError::NavigationForgotten { .. }) => desk.current_for(&self.device),
+            found => found?,
+        };
+        self.navigation = Some((push, found.navigation.clone()));
+        Ok(found.navigation)
     }
 }

@@ -39,7 +39,7 @@ async fn what_is_pushed_is_listed() {
     assert_eq!(listed.solutions, pushed);
 }
 
-/// Heads, series and explanations are the same by either door.
+/// Heads, series, residuals and explanations are the same by either door.
 #[tokio::test]
 async fn both_doors_show_the_same() {
     let doors = Doors::open().await;
@@ -58,6 +58,12 @@ async fn both_doors_show_the_same() {
     let series = solutions.series(asked).await.unwrap().into_inner();
     let path = format!("/v1/sessions/{session}/solutions:series");
     assert_eq!(serde_json::json!(series), doors.get(&path).await.1);
+
+    let asked = v1::ResidualsRequest { session: session.clone(), ..Default::default() };
+    let residuals = solutions.residuals(asked).await.unwrap().into_inner();
+    assert_eq!(residuals.points.len(), 2);
+    let path = format!("/v1/sessions/{session}/solutions:residuals");
+    assert_eq!(serde_json::json!(residuals), doors.get(&path).await.1);
 
     let asked = v1::ExplainEpochRequest { session: session.clone(), seq: 0 };
     let explained = solutions.explain(asked).await.unwrap().into_inner();

@@ -2,59 +2,18 @@
 
 use std::time::Duration;
 
-use axum::body::{Body, BodyDataStream};
-use axum::http::Request;
-use futures::StreamExt;
 use graphfix::config::{JobsConfiguration, Limits};
 use graphfix::contract::v1;
 use graphfix::grpc::code_of;
 use graphfix::grpc::v1::jobs_client::JobsClient;
-use serde_json::{Value, json};
+use serde_json::json;
 use tokio::time::timeout;
-use tower::ServiceExt;
 
 use super::jobs::{all_turns, created, held_midway};
 use crate::support::doors::{Doors, code};
+use crate::support::events::Events;
 use crate::support::jobs::{LONG, MINUTE};
 use crate::support::wait::until;
-
-/// Events as they arrive.
-struct Events {
-    body: BodyDataStream,
-    text: String,
-}
-
-impl Events {
-    async fn of(doors: &Doors, job: &str) -> Self {
-        let ask = Request::get(format!("/v1/jobs/{job}/events")).body(Body::empty()).unwrap();
-        let response = doors.router.clone().oneshot(ask).await.unwrap();
-        assert_eq!(response.headers()["content-type"], "text/event-stream");
-        Self { body: response.into_body().into_data_stream(), text: String::new() }
-    }
-
-    /// Name and content of the next event; `None` at the end.
-    async fn next(&mut self) -> Option<(String, Value)> {
-        loop {
-            if let Some((event, rest)) = self.text.split_once("\n\n") {
-                let field = |name: &str| {
-                    let mut lines = event.lines();
-                    lines.find_map(|line| line.strip_prefix(name)).map(ToOwned::to_owned)
-                };
-                let found = field("event: ").zip(field("data: "));
-                self.text = rest.to_owned();
-                match found {
-                    Some((name, data)) => {
-                        return Some((name, serde_json::from_str(&data).unwrap()));
-                    }
-                    None => continue, // The delay before a browser comes back.
-                }
-            }
-            let bytes = timeout(Duration::from_secs(60), self.body.next()).await;
-            let bytes = bytes.expect("the events are silent")?;
-            self.text.push_str(std::str::from_utf8(&bytes.unwrap()).unwrap());
-        }
-    }
-}
 
 async fn doors() -> Doors {
     Doors::with_jobs(JobsConfiguration::standard()).await
@@ -65,7 +24,7 @@ async fn events_follow_a_job_to_its_end() {
     let doors = doors().await;
     let turns = all_turns(&doors).await;
     let job = created(&doors, LONG.body(&json!({"mode": "rtk-fgo"}))).await;
-    let mut events = Events::of(&doors, &job).await;
+    let mut events = Events::of(&doors, &format!("/v1/jobs/{job}/events")).await;
     let (name, first) = events.next().await.unwrap();
     assert_eq!((&*name, &first["job"]), ("job", &json!(job)), "{first}");
     assert!(["QUEUED", "RUNNING"].contains(&first["state"].as_str().unwrap()), "{first}");
@@ -87,7 +46,7 @@ async fn events_follow_a_job_to_its_end() {
     assert_eq!(events.next().await, None, "something follows the end");
     assert_eq!(doors.get(&format!("/v1/jobs/{job}")).await.1, last);
     // Of a job that has ended there is one event.
-    let mut again = Events::of(&doors, &job).await;
+    let mut again = Events::of(&doors, &format!("/v1/jobs/{job}/events")).await;
     assert_eq!(again.next().await, Some(("ended".to_owned(), last)));
     assert_eq!(again.next().await, None);
     drop((events, again));
@@ -125,7 +84,7 @@ async fn a_watch_ends_in_a_drain() {
     let doors = doors().await;
     let _turns = all_turns(&doors).await;
     let job = created(&doors, MINUTE.body(&json!({}))).await;
-    let mut events = Events::of(&doors, &job).await;
+    let mut events = Events::of(&doors, &format!("/v1/jobs/{job}/events")).await;
     assert_eq!(events.next().await.unwrap().0, "job");
     doors.service.drain();
     let end = loop {
@@ -149,7 +108,7 @@ async fn a_wrong_watch_of_a_job_is_refused() {
     }
     let _turns = all_turns(&doors).await;
     let job = created(&doors, MINUTE.body(&json!({}))).await;
-    let _events = Events::of(&doors, &job).await;
+    let _events = Events::of(&doors, &format!("/v1/jobs/{job}/events")).await;
     let (status, refused) = doors.get(&format!("/v1/jobs/{job}/events")).await;
     assert_eq!((status.as_u16(), code(&refused)), (429, "TOO_MANY_WATCHES"), "{refused}");
     let mut client = JobsClient::new(doors.router.clone());

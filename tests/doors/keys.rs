@@ -204,7 +204,10 @@ async fn refusal(response: Response<Body>) -> Option<String> {
         return code_of(&status);
     }
     let kind = response.headers().get("content-type");
-    if kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc")) {
+    let is_stream = ["application/grpc", "text/event-stream"]
+        .into_iter()
+        .any(|stream| kind.is_some_and(|kind| kind.as_bytes().starts_with(stream.as_bytes())));
+    if is_stream {
         return None; // It is served; some of these streams have no end.
     }
     let bytes = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();

@@ -13,6 +13,7 @@ mod feeds;
 mod frames;
 mod grpc;
 mod guides;
+mod head_watches;
 mod history;
 mod http;
 mod image;

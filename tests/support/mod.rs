@@ -11,6 +11,7 @@ pub(crate) mod database;
 pub(crate) mod device;
 pub(crate) mod doors;
 pub(crate) mod drive;
+pub(crate) mod events;
 #[cfg(target_os = "linux")]
 pub(crate) mod failing;
 pub(crate) mod flow;

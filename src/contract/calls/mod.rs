@@ -4,6 +4,7 @@
 pub mod audit;
 pub mod bases;
 mod feeds;
+pub mod head_watch;
 pub mod history;
 pub mod job_deliveries;
 mod job_options;

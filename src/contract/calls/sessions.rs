@@ -22,7 +22,7 @@ const HEADS: usize = 1000;
 /// Most heads on a page.
 const HEADS_MAX: usize = 10_000;
 /// Memory of a head, its message and its JSON (bytes).
-const HEAD_BYTES: usize = 1024;
+pub(super) const HEAD_BYTES: usize = 1024;
 /// Memory of a head that is looked through for those within an area (bytes).
 const SCANNED_BYTES: usize = 256;
 
@@ -211,7 +211,7 @@ pub async fn delete(
     caller.noted("Sessions.Delete", &request.session, act.await).await
 }
 
-fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {
+pub(super) fn head_message(head: SessionHead, now: GpsTime) -> v1::SessionHead {
     v1::SessionHead {
         session: head.id,
         label: head.label,

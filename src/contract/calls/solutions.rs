@@ -6,8 +6,8 @@ use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::gnss::{LeapSeconds, Observation};
 use crate::refusal::Code;
 use crate::session::{
-    Interval, Range, SERIES_POINTS, SatelliteRole, SatelliteView, SeriesQuery, SessionError,
-    SessionId, SolutionPage,
+    EpochResiduals, Interval, RESIDUAL_POINTS, Range, ResidualQuery, SERIES_POINTS, SatelliteRole,
+    SatelliteView, SeriesQuery, SessionError, SessionId, SolutionPage,
 };
 use crate::store::{Revisions, SolutionQuery};
 
@@ -22,6 +22,8 @@ const PORTION: usize = 256;
 pub(super) const SOLUTION_BYTES: usize = 10 << 10;
 /// Intervals of a series if the request gives no number.
 const POINTS: usize = 1000;
+/// Epochs of an answer with residuals if the request gives no number.
+const RESIDUALS: usize = 200;
 /// Memory of an interval, its message and its JSON (bytes).
 const INTERVAL_BYTES: usize = 2048;
 /// Memory of the solutions that a series reads at a time (bytes).
@@ -175,6 +177,39 @@ fn interval_message(index: u32, interval: &Interval) -> v1::SeriesInterval {
         vertical_protection_m: range(interval.vertical_protection_m),
         age_s: range(interval.age_s),
         ratio: range(interval.ratio),
+    }
+}
+
+/// The residuals of evenly spaced epochs of a session.
+///
+/// # Errors
+/// The session does not exist, or a time or the number of epochs is invalid.
+pub async fn residuals(
+    caller: &Caller,
+    request: v1::ResidualsRequest,
+) -> Result<v1::ResidualsResponse, Refusal> {
+    let id = session_id(&request.session)?;
+    let query = ResidualQuery {
+        from: convert::time(request.from, "from")?,
+        to: convert::time(request.to, "to")?,
+        points: page_size(request.points, RESIDUALS),
+    };
+    let bytes = query.points.min(RESIDUAL_POINTS) * INTERVAL_BYTES;
+    Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
+    let points = caller.sessions().residuals(&id, &query).await?;
+    Ok(v1::ResidualsResponse { points: points.iter().map(residuals_message).collect() })
+}
+
+fn residuals_message(of: &EpochResiduals) -> v1::EpochResiduals {
+    let (satellite, largest_m) = of.largest.unzip();
+    v1::EpochResiduals {
+        seq: of.seq,
+        time: Some(of.time.into()),
+        time_utc: of.time.to_rfc3339(&LeapSeconds::table()),
+        satellites: of.satellites as u32,
+        rms_m: of.rms_m,
+        largest_m,
+        largest_satellite: satellite.map(|satellite| satellite.to_string()).unwrap_or_default(),
     }
 }
 

@@ -210,3 +210,44 @@ async fn an_epoch_is_explained() {
     let (status, refused) = doors.get(&format!("{path}/epochs/first")).await;
     assert_eq!((status, &refused["field"]), (StatusCode::BAD_REQUEST, &json!("seq")));
 }
+
+/// The residuals of an epoch are those of its explanation.
+#[tokio::test]
+async fn residuals_over_time_are_those_of_each_epoch() {
+    let doors = Doors::open().await;
+    let session = driven(&doors, 9).await;
+    let path = format!("/v1/sessions/{session}");
+    let (status, answer) = doors.get(&format!("{path}/solutions:residuals?points=3")).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let points = answer["points"].as_array().unwrap();
+    let seqs: Vec<u64> = points.iter().map(|point| point["seq"].as_u64().unwrap()).collect();
+    assert_eq!(seqs, [1, 5, 9]);
+    for point in points {
+        let (_, explained) = doors.get(&format!("{path}/epochs/{}", point["seq"])).await;
+        assert_eq!(point["time"], explained["solutions"][0]["time"]);
+        let views = explained["satellites"].as_array().unwrap().iter();
+        let used = views.filter(|view| view["role"] == "USED");
+        let residuals: Vec<(f64, &Value)> =
+            used.filter_map(|view| Some((view["residualM"].as_f64()?, view))).collect();
+        assert!(4 <= residuals.len(), "{explained}");
+        let squares: f64 = residuals.iter().map(|(metres, _)| metres * metres).sum();
+        let rms_m = (squares / residuals.len() as f64).sqrt();
+        assert_eq!(point["satellites"], json!(residuals.len()));
+        assert!((point["rmsM"].as_f64().unwrap() - rms_m).abs() < 1e-9, "{point}");
+        let by_amount = |a: &&(f64, &Value), b: &&(f64, &Value)| a.0.abs().total_cmp(&b.0.abs());
+        let (largest_m, view) = residuals.iter().max_by(by_amount).unwrap();
+        assert_eq!(point["largestM"].as_f64(), Some(*largest_m));
+        assert_eq!(point["largestSatellite"], view["satellite"]);
+    }
+
+    let (week, from) = (&points[1]["time"]["week"], &points[1]["time"]["nsOfWeek"]);
+    let second = from.as_u64().unwrap() as f64 * 1e-9;
+    let (_, later) = doors.get(&format!("{path}/solutions:residuals?from={week}:{second}")).await;
+    let later = later["points"].as_array().unwrap();
+    assert_eq!((later.len(), &later[0]), (5, &points[1]));
+    let (status, refused) = doors.get(&format!("{path}/solutions:residuals?points=501")).await;
+    assert_eq!((status, &refused["field"]), (StatusCode::BAD_REQUEST, &json!("points")));
+    let empty = doors.session().await;
+    let (_, none) = doors.get(&format!("/v1/sessions/{empty}/solutions:residuals")).await;
+    assert_eq!(none["points"], json!([]));
+}

@@ -144,6 +144,9 @@ fn sessions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
             requests.extend(both!(call, v1::ListSessionsRequest, path, behind, none));
             requests
         }
+        "Sessions/WatchHeads" => {
+            both!(call, v1::WatchHeadsRequest, "/v1/sessions:watch", json!({}), none)
+        }
         "Sessions/Update" => {
             let change = json!({"session": session, "label": "changed"});
             let mut requests = both!(call, v1::UpdateSessionRequest, path, change.clone(), change);
@@ -249,6 +252,9 @@ fn solutions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         }
         "Solutions/Series" => {
             both!(call, v1::SolutionSeriesRequest, format!("{path}/solutions:series"), named, none)
+        }
+        "Solutions/Residuals" => {
+            both!(call, v1::ResidualsRequest, format!("{path}/solutions:residuals"), named, none)
         }
         "Solutions/Explain" => {
             let epoch = json!({"session": session, "seq": 1});

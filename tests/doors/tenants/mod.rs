@@ -4,7 +4,8 @@ mod cases;
 mod mutated;
 pub(super) mod world;
 
-use axum::http::StatusCode;
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
 use graphfix::contract::access::CALLS;
 use graphfix::contract::convert::epoch_message;
 use graphfix::formats::rinex::write_navigation;
@@ -135,6 +136,9 @@ async fn a_tenant_keeps_what_it_has_over_a_restart(database: Database) {
         };
         assert_eq!(listed("/v1/sessions", "sessions", "session").await, [&*own.session]);
         assert_eq!(listed("/v1/sessions:heads", "heads", "session").await, [&*own.session]);
+        let watch = Request::get("/v1/sessions:watch").body(Body::empty()).unwrap();
+        let watched = sent(&doors, key, watch).await.text;
+        assert!(watched.contains(&own.session) && !watched.contains(&others.session), "{watched}");
         assert_eq!(listed("/v1/bases", "bases", "base").await, [&*own.base]);
         assert_eq!(listed("/v1/jobs", "jobs", "job").await, [&*own.job]);
         assert_eq!(listed("/v1/keys", "keys", "key").await, [&*key.id]);

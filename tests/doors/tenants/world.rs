@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use axum::body::Body;
-use axum::http::{Request, StatusCode, header};
+use axum::http::{HeaderMap, Request, StatusCode, header};
 use graphfix::aiding::bases::BaseId;
 use graphfix::grpc::code_of;
 use graphfix::jobs::JobId;
@@ -46,11 +46,10 @@ pub(in crate::doors) struct Answer {
 pub(in crate::doors) async fn sent(doors: &Doors, key: &Key, mut request: Request<Body>) -> Answer {
     let bearer = format!("Bearer {}", key.secret).parse().unwrap();
     request.headers_mut().insert(header::AUTHORIZATION, bearer);
+    let path = request.uri().path().to_owned();
     let response = doors.router.clone().oneshot(request).await.unwrap();
     let (parts, body) = response.into_parts();
-    let collected = body.collect().await.unwrap();
-    let trailers = collected.trailers().cloned().unwrap_or_default();
-    let text = String::from_utf8_lossy(&collected.to_bytes()).into_owned();
+    let (text, trailers) = content(&path, body).await;
     let status = Status::from_header_map(&parts.headers);
     let status = status.or_else(|| Status::from_header_map(&trailers));
     if let Some(status) = status.filter(|status| status.code() != tonic::Code::Ok) {
@@ -63,6 +62,28 @@ pub(in crate::doors) async fn sent(doors: &Doors, key: &Key, mut request: Reques
     let problem: Value = serde_json::from_str(&text).unwrap_or_default();
     let refusal = problem["code"].as_str().map(|code| (code.to_owned(), BTreeMap::new()));
     Answer { status: parts.status, refusal, text }
+}
+
+/// The content of an answer and its trailers; of a watch of heads, which has no end, through the
+/// first message.
+async fn content(path: &str, mut body: Body) -> (String, HeaderMap) {
+    let (mut bytes, mut trailers) = (Vec::new(), HeaderMap::new());
+    let first = match path {
+        "/v1/sessions:watch" => Some("data: "),
+        "/graphfix.v1.Sessions/WatchHeads" => Some(""),
+        _ => None,
+    };
+    while let Some(frame) = body.frame().await {
+        match frame.unwrap().into_data() {
+            Ok(data) => bytes.extend_from_slice(&data),
+            Err(last) => trailers = last.into_trailers().unwrap_or_default(),
+        }
+        let has_message = |first| String::from_utf8_lossy(&bytes).contains(first);
+        if !bytes.is_empty() && first.is_some_and(has_message) {
+            break;
+        }
+    }
+    (String::from_utf8_lossy(&bytes).into_owned(), trailers)
 }
 
 pub(in crate::doors) async fn asked(
@@ -191,6 +212,7 @@ pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec
         session.clone(),
         format!("{session}/solutions?revisions=all"),
         format!("{session}/solutions:series"),
+        format!("{session}/solutions:residuals"),
         "/v1/history/fleet?from=2051:0&to=2051:604799".to_owned(),
         "/v1/history/sessions?from=2051:0&to=2051:604799".to_owned(),
         session.replace("sessions", "history/sessions"),
