@@ -235,6 +235,8 @@ export class Problem extends Error {
     readonly remedy: string,
     readonly field = "",
     readonly requestId = "",
+    /** HTTP status of a refusal; 0 if there was no answer. */
+    readonly status = 0,
   ) {
     super(`${code}: ${detail}`);
   }
@@ -277,6 +279,7 @@ export function answered<T>(status: number, text: string, requestId: string | nu
     remedy ?? "try again; if it persists, look into the log of the service",
     field ?? "",
     requestId ?? "",
+    status,
   );
 }
 
@@ -285,7 +288,7 @@ export const problemOf = (error: unknown): Problem =>
   error instanceof Problem ? error : new Problem("PAGE_FAILED", String(error), "reload the page, and report this");
 
 /** The answer of a call that changes something. */
-export const change = <T>(method: "POST" | "DELETE", path: string, body?: unknown): Promise<T> =>
+export const change = <T>(method: "POST" | "PUT" | "DELETE", path: string, body?: unknown): Promise<T> =>
   ask<T>(path, undefined, {
     method,
     headers: { ...csrfHeader(), ...(body === undefined ? {} : { "content-type": "application/json" }) },
@@ -362,6 +365,8 @@ export async function heads(signal?: AbortSignal): Promise<Head[]> {
 
 export const session = (id: string, signal?: AbortSignal) =>
   ask<Session>(`/v1/sessions/${path(id)}`, signal);
+export const closeSession = (id: string) => change<Session>("DELETE", `/v1/sessions/${path(id)}`);
+export const deleteSession = (id: string) => change<Session>("DELETE", `/v1/sessions/${path(id)}?purge=true`);
 
 export const explain = (id: string, seq: number | null, signal?: AbortSignal) =>
   ask<Explained>(`/v1/sessions/${path(id)}/epochs/${seq ?? "last"}`, signal);
@@ -371,6 +376,36 @@ export interface SeriesRequest {
   to?: string;
   points: number;
   revisions: "first" | "last";
+}
+
+/** The residuals of an epoch's used satellites, each against the median of its constellation. */
+export interface ResidualPoint {
+  seq: number;
+  time: GpsTime;
+  timeUtc: string;
+  satellites: number;
+  /** Null where too few satellites have a residual. */
+  rmsM: number | null;
+  largestM: number | null;
+  /** Empty without any. */
+  largestSatellite: string;
+}
+
+/** Epochs of a span, evenly spaced by number; undefined if the service has no such call. */
+export async function residuals(
+  id: string,
+  request: { from?: string; to?: string; points: number },
+  signal?: AbortSignal,
+): Promise<ResidualPoint[] | undefined> {
+  const { points, ...bounds } = request;
+  const query = new URLSearchParams({ points: String(points), ...bounds });
+  try {
+    const answer = await ask<{ points: ResidualPoint[] }>(`/v1/sessions/${path(id)}/solutions:residuals?${query}`, signal);
+    return answer.points;
+  } catch (error) {
+    if (error instanceof Problem && error.status === 404) return undefined;
+    throw error;
+  }
 }
 
 /** All pages of a series as one; pages that split an interval are joined. */

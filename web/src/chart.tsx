@@ -30,6 +30,29 @@ interface ChartProps {
   onZoom: (from: GpsTime, to: GpsTime) => void;
 }
 
+/** A point in time as an interval of one solution, for charts of other values than those of solutions. */
+export function pointInterval(seq: number, time: GpsTime, index: number): Interval {
+  const status = "UNSPECIFIED" as const;
+  return {
+    index, solutions: 1, seq, time, timeUtc: "", status, worstStatus: status, bestStatus: status,
+    position: null, satellites: null, heightM: null, horizontalSigmaM: null, verticalSigmaM: null,
+    horizontalProtectionM: null, verticalProtectionM: null, ageS: null, ratio: null,
+  };
+}
+
+/** A single value as a range; null if there is none. */
+export const only = (value: number | null | undefined): Range | null =>
+  value === null || value === undefined ? null : { min: value, max: value, last: value };
+
+/** A length for an axis. */
+export const metres = (v: number): string =>
+  Math.abs(v) < 0.1 ? `${+(v * 1000).toPrecision(3)} mm` : Math.abs(v) < 1000 ? `${+v.toPrecision(3)} m` : `${+(v / 1000).toPrecision(3)} km`;
+
+export const BLUE: Line["colour"] = ["#6cc4f5", "#0b76b8"];
+export const AMBER: Line["colour"] = ["#f0b429", "#a86400"];
+export const ROSE: Line["colour"] = ["#ff9d9d", "#8c2f39"];
+export const GREEN: Line["colour"] = ["#2bc79b", "#00785a"];
+
 const SYNC = uPlot.sync("session");
 const AXIS_PX = 62;
 const FONT = "11px ui-sans-serif, system-ui, sans-serif";

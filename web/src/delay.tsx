@@ -1,7 +1,7 @@
 /** How long the epochs of a session take to this page: from their time tag to their stored answer here. */
 import { useState } from "preact/hooks";
-import type { GpsTime, Interval, Range, Solution } from "./api";
-import { Chart } from "./chart";
+import type { GpsTime, Solution } from "./api";
+import { Chart, only, pointInterval } from "./chart";
 import { useMessages } from "./live";
 import { unixS } from "./time";
 
@@ -26,15 +26,6 @@ interface DelaysProps {
 
 const seconds = (s: number): string => (Math.abs(s) < 1 ? `${Math.round(s * 1000)} ms` : `${s.toFixed(1)} s`);
 
-function interval({ seq, time }: Delay, index: number): Interval {
-  const none = {
-    position: null, satellites: null, heightM: null, horizontalSigmaM: null, verticalSigmaM: null,
-    horizontalProtectionM: null, verticalProtectionM: null, ageS: null, ratio: null,
-  };
-  const status = "UNSPECIFIED" as const;
-  return { index, solutions: 1, seq, time, timeUtc: "", status, worstStatus: status, bestStatus: status, ...none };
-}
-
 /** The value that this part of the sorted delays does not exceed. */
 const quantile = (sorted: number[], part: number): number => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))];
 
@@ -50,10 +41,6 @@ export function Delays({ id, selected, onPick, onZoom }: DelaysProps) {
   const shown = delays.filter((delay) => LEAST_S < delay.seconds && delay.seconds < MOST_S);
   const sorted = shown.map((delay) => delay.seconds).sort((a, b) => a - b);
   const bySeq = new Map(shown.map((delay) => [delay.seq, delay.seconds]));
-  const range = ({ seq }: Interval): Range | null => {
-    const value = bySeq.get(seq);
-    return value === undefined ? null : { min: value, max: value, last: value };
-  };
   return (
     <section class="card delays" aria-label="Delay">
       <div class="card-head">
@@ -67,8 +54,8 @@ export function Delays({ id, selected, onPick, onZoom }: DelaysProps) {
       {latest && !isOfNow && <p class="small">The time tags of these epochs are not of now, so there is no delay to state.</p>}
       {isOfNow && 1 < shown.length && (
         <Chart
-          title="Delay" intervals={shown.map(interval)} intervalS={1} selected={selected} onPick={onPick} onZoom={onZoom}
-          least={0.2} format={seconds} lines={[{ name: "time tag to page", colour: VIOLET, value: range }]}
+          title="Delay" intervals={shown.map(({ seq, time }, i) => pointInterval(seq, time, i))} intervalS={1} selected={selected} onPick={onPick} onZoom={onZoom}
+          least={0.2} format={seconds} lines={[{ name: "time tag to page", colour: VIOLET, value: ({ seq }) => only(bySeq.get(seq)) }]}
         />
       )}
     </section>

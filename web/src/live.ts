@@ -1,9 +1,10 @@
 /**
- * The one source of live data: a value that is loaded again at an interval.
+ * The one source of live data: a value that is loaded again at an interval, or that a stream brings.
  *
  * Pages name what they want to see, not how it arrives, so a stream can take the place of polling
- * here alone. A hidden page asks for nothing. After a failure the last value stays, with the
- * problem beside it, and the next attempt comes later each time.
+ * here alone: `follow` is the one place that opens and closes streams. A hidden page asks for
+ * nothing. After a failure the last value stays, with the problem beside it, and the next attempt
+ * comes later each time.
  */
 import { useEffect, useRef, useState } from "preact/hooks";
 import { Problem, problemOf } from "./api";
@@ -76,6 +77,111 @@ export function useLive<T>(
 const STREAM_AGAIN_MS = 30_000;
 const POLL_MS = 1000;
 
+/** What follows a stream of server-sent events. */
+export interface Follower {
+  /** The events by name, each with what takes its content; true after the last one, which ends all. */
+  events: Record<string, (data: string) => boolean>;
+  /** A stream has begun: the first one, or another after a break. */
+  opened?: () => void;
+  /**
+   * What is done while no stream can be had. It tells when to do it again (ms): infinity if nothing
+   * more is to come, undefined after a failure. Without it the browser asks again after a break.
+   */
+  instead?: (signal: AbortSignal) => Promise<number | undefined>;
+  /** Silence after which a stream counts as broken (ms). */
+  silenceMs?: number;
+}
+
+/** Silence at the beginning: a proxy that keeps events back is found out sooner (ms). */
+const FIRST_SILENCE_MS = 8000;
+
+/**
+ * Opens a stream, closes it while the page is hidden, and opens it again; after a refusal, and with
+ * `instead` after every break, when `STREAM_AGAIN_MS` have passed. Returns what ends it.
+ */
+export function follow(path: string, { events, opened, instead, silenceMs }: Follower): () => void {
+  const stop = new AbortController();
+  let source: EventSource | undefined;
+  let [timer, silence, failures, streamFrom, isOver] = [0, 0, 0, 0, false];
+
+  const close = () => {
+    source?.close();
+    source = undefined;
+    window.clearTimeout(timer);
+    window.clearTimeout(silence);
+  };
+  const withoutStream = async () => {
+    const ms = instead ? await instead(stop.signal) : STREAM_AGAIN_MS;
+    if (stop.signal.aborted) return;
+    failures = ms === undefined ? failures + 1 : 0;
+    isOver ||= ms === Infinity;
+    if (isOver) close();
+    if (isOver || source) return;
+    window.clearTimeout(timer);
+    timer = window.setTimeout(begin, ms ?? Math.min(POLL_MS * 2 ** failures, LONGEST_MS));
+  };
+  const giveUp = () => {
+    close();
+    streamFrom = Date.now() + STREAM_AGAIN_MS;
+    void withoutStream(); // Which finds out why, and shows it.
+  };
+  const open = () => {
+    const made = new EventSource(path);
+    source = made;
+    const wait = (ms: number) => {
+      window.clearTimeout(silence);
+      if (silenceMs) silence = window.setTimeout(giveUp, ms);
+    };
+    const broken = () => {
+      if (source === made && (instead || made.readyState === EventSource.CLOSED)) giveUp();
+    };
+    wait(FIRST_SILENCE_MS);
+    if (opened) made.addEventListener("open", opened);
+    for (const [name, take] of Object.entries(events)) {
+      made.addEventListener(name, ({ data }) => {
+        if (source !== made) return;
+        wait(silenceMs ?? 0);
+        failures = 0;
+        isOver = take(data);
+        if (isOver) close();
+      });
+    }
+    made.addEventListener("error", broken);
+    made.addEventListener("end", broken);
+  };
+  const begin = () => {
+    if (document.hidden || isOver || stop.signal.aborted || source) return;
+    if (instead && Date.now() < streamFrom) void withoutStream();
+    else open();
+  };
+  const wake = () => {
+    close(); // A hidden page asks for nothing.
+    begin();
+  };
+  begin();
+  document.addEventListener("visibilitychange", wake);
+  return () => {
+    stop.abort();
+    close();
+    document.removeEventListener("visibilitychange", wake);
+  };
+}
+
+/** Polling in the place of a stream. `take` tells when to load again (ms). */
+export const polling = <T>(
+  load: (signal: AbortSignal) => Promise<T>,
+  take: (value: T) => number,
+  fail: (problem: Problem) => void,
+) => async (signal: AbortSignal): Promise<number | undefined> => {
+  try {
+    const value = await load(signal);
+    return signal.aborted ? 0 : take(value);
+  } catch (error) {
+    if (!signal.aborted) fail(problemOf(error));
+    return undefined;
+  }
+};
+
 /**
  * A value that server-sent events bring: `names` are the events that have it, and the last of them
  * ends the stream. Where no stream can be had, `load` polls.
@@ -91,67 +197,15 @@ export function useEvents<T>(
   latest.current = { load, isLast };
 
   useEffect(() => {
-    const stop = new AbortController();
-    let source: EventSource | undefined;
-    let [timer, failures, streamFrom, isDone] = [0, 0, 0, false];
-
-    const take = (value: T) => {
-      failures = 0;
-      isDone = latest.current.isLast(value);
+    const take = (value: T): boolean => {
       setState({ path, live: { value, at: Date.now() } });
+      return latest.current.isLast(value);
     };
-    const close = () => {
-      source?.close();
-      source = undefined;
-      window.clearTimeout(timer);
-    };
-    const poll = async () => {
-      try {
-        const value = await latest.current.load(stop.signal);
-        if (!stop.signal.aborted) take(value);
-      } catch (error) {
-        if (stop.signal.aborted) return;
-        const problem = problemOf(error);
-        setState((before) => ({ path, live: { ...(before.path === path ? before.live : { at: 0 }), problem } }));
-        failures += 1;
-      }
-      close();
-      timer = window.setTimeout(begin, Math.min(POLL_MS * 2 ** failures, LONGEST_MS));
-    };
-    const begin = () => {
-      if (document.hidden || isDone || stop.signal.aborted || source) return;
-      if (Date.now() < streamFrom) {
-        void poll();
-        return;
-      }
-      const opened = new EventSource(path);
-      source = opened;
-      for (const name of names) {
-        opened.addEventListener(name, ({ data }) => {
-          take(JSON.parse(data) as T);
-          if (isDone) close();
-        });
-      }
-      const broken = () => {
-        if (source !== opened) return;
-        close();
-        streamFrom = Date.now() + STREAM_AGAIN_MS;
-        void poll(); // Which finds out why, and shows it.
-      };
-      opened.addEventListener("error", broken);
-      opened.addEventListener("end", broken);
-    };
-    const wake = () => {
-      close(); // A hidden page asks for nothing.
-      begin();
-    };
-    begin();
-    document.addEventListener("visibilitychange", wake);
-    return () => {
-      stop.abort();
-      close();
-      document.removeEventListener("visibilitychange", wake);
-    };
+    const fail = (problem: Problem) =>
+      setState((before) => ({ path, live: { ...(before.path === path ? before.live : { at: 0 }), problem } }));
+    const events = Object.fromEntries(names.map((name) => [name, (data: string) => take(JSON.parse(data) as T)]));
+    const instead = polling((signal) => latest.current.load(signal), (value) => (take(value) ? Infinity : POLL_MS), fail);
+    return follow(path, { events, instead });
   }, [path]);
 
   const set = (value: T) => setState({ path, live: { value, at: Date.now() } });
@@ -165,38 +219,13 @@ export function useEvents<T>(
 export function useMessages<T>(path: string, name: string, last: string, take: (message: T) => void): void {
   const latest = useRef(take);
   latest.current = take;
-  useEffect(() => {
-    let source: EventSource | undefined;
-    let [timer, isOver] = [0, false];
-    const close = () => {
-      source?.close();
-      source = undefined;
-      window.clearTimeout(timer);
-    };
-    const begin = () => {
-      if (document.hidden || isOver || source) return;
-      const opened = new EventSource(path);
-      source = opened;
-      opened.addEventListener(name, ({ data }) => latest.current(JSON.parse(data) as T));
-      opened.addEventListener(last, () => {
-        isOver = true;
-        close();
-      });
-      opened.addEventListener("error", () => {
-        if (source !== opened || opened.readyState !== EventSource.CLOSED) return;
-        close();
-        timer = window.setTimeout(begin, STREAM_AGAIN_MS);
-      });
-    };
-    const wake = () => {
-      close(); // A hidden page asks for nothing.
-      begin();
-    };
-    begin();
-    document.addEventListener("visibilitychange", wake);
-    return () => {
-      close();
-      document.removeEventListener("visibilitychange", wake);
-    };
-  }, [path]);
+  useEffect(() => follow(path, {
+    events: {
+      [name]: (data) => {
+        latest.current(JSON.parse(data) as T);
+        return false;
+      },
+      [last]: () => true,
+    },
+  }), [path]);
 }

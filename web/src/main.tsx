@@ -22,7 +22,7 @@ const PAGES = [
   { path: "jobs", name: "Jobs", icon: "M4 13v6.5h16V13M12 3.5V14M7.8 10 12 14.2 16.2 10" },
   { path: "bases", name: "Bases", icon: "M12 10v11M8 21h8M8.5 6.5a5 5 0 0 0 0 7M15.5 6.5a5 5 0 0 1 0 7M5.6 3.6a9 9 0 0 0 0 12.8M18.4 3.6a9 9 0 0 1 0 12.8" },
   { path: "ephemerides", name: "Ephemerides", icon: "M12 12m-3 0a3 3 0 1 0 6 0a3 3 0 1 0 -6 0M4 16c-2-4 2-10 8-12M20 8c2 4-2 10-8 12M20 8h.01M4 16h.01" },
-  { path: "keys", name: "Keys", icon: "M8 15m-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0M11 12l9-8.5M16.5 7l3 3M14 9.3l1.8 1.8" },
+  { path: "keys", name: "Keys", title: "Keys and quotas", icon: "M8 15m-4 0a4 4 0 1 0 8 0a4 4 0 1 0 -8 0M11 12l9-8.5M16.5 7l3 3M14 9.3l1.8 1.8" },
   { path: "api", name: "API", icon: "M8 7l-5 5 5 5M16 7l5 5-5 5M13.5 4l-3 16" },
 ];
 
@@ -123,7 +123,7 @@ function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut:
   const session = page === "sessions" && argument ? argument : undefined;
   const job = page === "jobs" && argument ? argument : undefined;
   useEffect(() => {
-    document.title = `${session ? "Session" : job ? "Job" : (known?.name ?? "Graphfix")} · Graphfix`;
+    document.title = `${session ? "Session" : job ? "Job" : (known?.title ?? known?.name ?? "Graphfix")} · Graphfix`;
     document.getElementById("main")?.scrollTo(0, 0);
   }, [page, argument]);
   return (

@@ -1,6 +1,7 @@
 /** The time series of a session or a job: status, precision, satellites, height, ratio, age. */
+import type { ComponentChildren } from "preact";
 import type { GpsTime, Interval } from "./api";
-import { Chart, StatusStrip } from "./chart";
+import { AMBER, BLUE, Chart, GREEN, ROSE, StatusStrip, metres } from "./chart";
 import { count, duration } from "./time";
 import { Loading } from "./ui";
 
@@ -11,21 +12,17 @@ interface PlotsProps {
   onZoom: (from: GpsTime, to: GpsTime) => void;
   /** What one can do with the plots. */
   hint?: string;
+  /** Further charts. */
+  children?: ComponentChildren;
 }
 
-const BLUE: [string, string] = ["#6cc4f5", "#0b76b8"];
-const AMBER: [string, string] = ["#f0b429", "#a86400"];
-const ROSE: [string, string] = ["#ff9d9d", "#8c2f39"];
-const GREEN: [string, string] = ["#2bc79b", "#00785a"];
-
-export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, click to choose an epoch. " }: PlotsProps) {
+export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, click to choose an epoch. ", children }: PlotsProps) {
   if (!series) return <section class="card"><h2>Over time</h2><Loading what="the time series" /></section>;
   const { intervals, intervalLengthS, solutions } = series;
   if (intervals.length === 0) return <section class="card"><h2>Over time</h2><p>No epoch in this span of time.</p></section>;
   const common = { intervals, intervalS: intervalLengthS, selected, onPick, onZoom };
   type Value = "ageS" | "ratio" | "horizontalProtectionM" | "horizontalSigmaM" | "verticalSigmaM";
   const has = (name: Value) => intervals.some((interval) => interval[name] !== null);
-  const metres = (v: number) => (Math.abs(v) < 0.1 ? `${+(v * 1000).toPrecision(3)} mm` : Math.abs(v) < 1000 ? `${+v.toPrecision(3)} m` : `${+(v / 1000).toPrecision(3)} km`);
   const exact = (v: number) => `${v.toFixed(2)} m`;
   return (
     <section class="card plots">
@@ -44,6 +41,7 @@ export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, 
         <Chart {...common} title="Height" least={0.5} format={exact} lines={[{ name: "above the ellipsoid", colour: BLUE, value: (i) => i.heightM }]} />
         {has("ratio") && <Chart {...common} title="Ratio" log format={(v) => String(+v.toPrecision(3))} lines={[{ name: "second-best to best integers", colour: GREEN, value: (i) => i.ratio }]} />}
         {has("ageS") && <Chart {...common} title="Age of corrections" positive least={2} format={(v) => `${+v.toFixed(1)} s`} lines={[{ name: "base epoch", colour: AMBER, value: (i) => i.ageS }]} />}
+        {children}
       </div>
     </section>
   );

@@ -1,7 +1,7 @@
 /** Parts that several pages use. */
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
-import type { Problem, Reason, Refusal } from "./api";
+import { type Problem, type Reason, type Refusal, problemOf } from "./api";
 import { LOOKS, SHAPES, type State, colourOf } from "./status";
 
 /** Draws again when the theme changes, for colours that scripts set. */
@@ -111,6 +111,58 @@ export function Copyable({ text, label }: { text: string; label: string }) {
   );
 }
 
+interface ConfirmProps {
+  /** On the button. */
+  words: string;
+  /** What the act is done to. */
+  name: string;
+  /** On the buttons of the second click. */
+  yes: string;
+  no: string;
+  /** What failed, above the reason. */
+  failed: string;
+  /** What stands in the place of the button when it is done. */
+  done?: string;
+  act: () => Promise<unknown>;
+  /** What the act takes away. */
+  children: ComponentChildren;
+}
+
+/** A button for what cannot be undone: it acts after a second click, beside words that say what is lost. */
+export function Confirm({ words, name, yes, no, failed, done, act, children }: ConfirmProps) {
+  const [state, setState] = useState<"idle" | "asked" | "busy" | "done">("idle");
+  const [problem, setProblem] = useState<Problem>();
+  const sure = useRef<HTMLButtonElement>(null);
+  useEffect(() => {
+    if (state === "asked") sure.current?.focus();
+  }, [state]);
+  const confirmed = async () => {
+    setState("busy");
+    setProblem(undefined);
+    try {
+      await act();
+      setState("done");
+    } catch (error) {
+      setProblem(problemOf(error));
+      setState("idle");
+    }
+  };
+  if (state === "done") return <span class="small" role="status">{done}</span>;
+  return (
+    <div class="confirm">
+      {state !== "asked" && <button type="button" class="quiet" aria-disabled={state === "busy"} onClick={() => state === "idle" && setState("asked")} aria-label={`${words}: ${name}`}>{words}</button>}
+      {state === "asked" && (
+        <div class="sure" role="group" aria-label={`${words}: ${name}?`}>
+          <span class="small">{children}</span>
+          <button type="button" class="danger" ref={sure} onClick={confirmed}>{yes}</button>
+          <button type="button" class="quiet" onClick={() => setState("idle")}>{no}</button>
+        </div>
+      )}
+      {problem && <ProblemBox problem={problem} what={failed} />}
+    </div>
+  );
+}
+
 export function Loading({ what }: { what: string }) {
   return <p class="loading" role="status">Loading {what} …</p>;
 }
@@ -144,7 +196,7 @@ export function Segments<T extends string>(props: {
 
 /** A part of a whole, as a bar. */
 export function Share({ name, part, colour, hint }: { name: ComponentChildren; part: number; colour?: string; hint?: string }) {
-  const percent = part < 0.01 ? "< 1 %" : 0.995 <= part && part < 1 ? "> 99 %" : `${Math.round(part * 100)} %`;
+  const percent = part === 0 ? "0 %" : part < 0.01 ? "< 1 %" : 0.995 <= part && part < 1 ? "> 99 %" : `${Math.round(part * 100)} %`;
   return (
     <li title={hint}>
       <span class="share-name">{name}</span>

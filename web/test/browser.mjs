@@ -13,6 +13,7 @@ import {
 import { jobs } from "./jobs.mjs";
 import { keys } from "./keys.mjs";
 import { delays, tiles } from "./live.mjs";
+import { truths } from "./truth.mjs";
 
 async function heads(address) {
   const answer = await fetch(`${address}/v1/sessions:heads`);
@@ -21,15 +22,15 @@ async function heads(address) {
 
 async function fleetGoesLive(address) {
   const page = await open(address, FORMS[0].options);
+  const asked = [];
+  page.on("request", (request) => asked.push(new URL(request.url()).pathname));
   await page.goto(address);
   await page.locator("a.device").first().waitFor();
   await until("six devices are listed", 20, async () => (await page.locator("a.device").count()) === 6);
   await page.locator(".chip", { hasText: "Fixed" }).waitFor({ timeout: 90_000 });
   await page.locator(".lost", { hasText: "courier 6" }).waitFor({ timeout: 90_000 });
-  // Numbers move without a reload.
-  const numbers = () => page.locator(".device-mode").allTextContents();
-  const before = await numbers();
-  await until("the epochs of the list rise", 15, async () => (await numbers()).join() !== before.join());
+  await epochsRise(page);
+  assert(asked.includes("/v1/sessions:watch") && !asked.includes("/v1/sessions:heads"), "the page watches, and does not poll");
   // Filters by status and by text.
   await page.locator(".chip", { hasText: "Lost" }).click();
   await until("only the lost device is listed", 5, async () => (await page.locator("a.device").count()) === 1);
@@ -48,6 +49,23 @@ async function fleetGoesLive(address) {
   await page.context().close();
 }
 
+/** Numbers move without a reload. */
+async function epochsRise(page) {
+  const numbers = () => page.locator(".device-mode").allTextContents();
+  const before = await numbers();
+  await until("the epochs of the list rise", 15, async () => (await numbers()).join() !== before.join());
+}
+
+/** No stream can be had: the fleet is polled. */
+async function fleetWithoutStream(address) {
+  const page = await open(address, FORMS[0].options, ["ERR_FAILED"]);
+  await page.route("**/v1/sessions:watch", (route) => route.abort());
+  await page.goto(address);
+  await until("six devices are listed", 20, async () => (await page.locator("a.device").count()) === 6);
+  await epochsRise(page);
+  await page.context().close();
+}
+
 async function sessionIsInspected(address) {
   const surveyor = (await heads(address)).find(({ label }) => label.startsWith("surveyor"));
   const page = await open(address, FORMS[0].options);
@@ -57,6 +75,7 @@ async function sessionIsInspected(address) {
   assert(5 < await page.locator(".sky circle[stroke]").count(), "the sky has satellites");
   const used = await page.locator(".sky-card tbody tr:not(.unused)").count();
   assert(5 < used, `${used} satellites are used`);
+  await page.locator(".chart", { hasText: "Residuals" }).locator(".key", { hasText: /rms of the pseudoranges \d/ }).waitFor();
   // A click in a plot chooses an epoch, which then stays.
   const plot = page.locator(".plots .u-over").nth(1);
   await plot.scrollIntoViewIfNeeded();
@@ -247,6 +266,7 @@ async function screenshots(address) {
 try {
   const { address } = await start(["demo", "--duration", "240", "--speed", "20"], /(http:\/\/127\.0\.0\.1:\d+)/);
   await fleetGoesLive(address);
+  await fleetWithoutStream(address);
   await sessionIsInspected(address);
   await errorsAreShown(address);
   await tracksAreDownloaded(address);
@@ -257,6 +277,7 @@ try {
   await signInIsAsked();
   await jobs();
   await keys();
+  await truths();
   await delays();
   await tiles();
   assert.deepEqual(complaints, [], "errors of the console, or requests to other hosts");

@@ -328,7 +328,8 @@ async function pictures(address) {
     await hasRole(page, "rover.obs", "rover");
     await capture(page, "jobs-new", form);
     await page.goto(`${address}/#/jobs/${done.job}`);
-    await page.locator(".uplot").first().waitFor();
+    await page.getByLabel("Truth file").setInputFiles(file("truth.csv"));
+    await page.locator(".truth .uplot").waitFor();
     await page.waitForTimeout(500);
     await capture(page, "job", form);
     await page.context().close();

@@ -1,6 +1,6 @@
-// Keys in a browser: the first one, others, their end, and who does not see them.
+// Keys and quotas in a browser: the first key, others, their end, and who does not see them.
 import assert from "node:assert/strict";
-import { FORMS, capture, checkAccessibility, open, serve, until } from "./harness.mjs";
+import { FORMS, capture, checkAccessibility, open, run, serve, until } from "./harness.mjs";
 
 const status = async (address, key, path = "/v1/sessions") =>
   (await fetch(`${address}${path}`, { headers: { authorization: `Bearer ${key}` } })).status;
@@ -35,9 +35,57 @@ async function signIn(page, key) {
   await page.keyboard.press("Enter");
 }
 
+const card = (page, tenant) => page.locator(".tenant", { hasText: tenant });
+
+/** The quotas of a tenant: changed, used up, changed by somebody else meanwhile, and as the tenant sees them. */
+async function quotas(page, address, database, admin) {
+  const own = run("keys", "create", "--database", database, "--tenant", "acme", "--right", "operate,admin", "--label", "acme").match(/gfx_\S+/)[0];
+  const call = async (key, path, method = "GET", body = undefined) => {
+    const headers = { authorization: `Bearer ${key}`, "content-type": "application/json" };
+    return (await fetch(`${address}${path}`, { method, headers, body: body && JSON.stringify(body) })).json();
+  };
+  const of = async () => (await call(admin, "/v1/tenants/acme")).quotas;
+  await call(own, "/v1/sessions", "POST", { label: "rover" });
+  await page.reload();
+  await card(page, "acme").getByText("1, no limit").waitFor();
+  const form = page.getByRole("form", { name: "Quotas of acme" });
+  const change = () => page.getByRole("button", { name: "Change the quotas of acme" }).click();
+  const set = () => form.getByRole("button", { name: "Set the quotas" }).click();
+  await change();
+  await form.getByLabel(/^Sessions/).fill("1");
+  await form.getByLabel(/^Stored/).fill("0.5");
+  await checkAccessibility(page, "quotas to be changed");
+  await set();
+  await card(page, "acme").getByText("1 of 1").waitFor();
+  await card(page, "acme").getByText("used up").waitFor();
+  assert.deepEqual(await of(), { sessions: 1, epochsPerS: null, cpuSPerMinute: null, storedBytes: 500_000_000 });
+  // Somebody else changes them while the form is open.
+  await change();
+  await call(admin, "/v1/tenants/acme", "PUT", { quotas: { sessions: 7 } });
+  await form.getByLabel(/^Sessions/).fill("");
+  await set();
+  await form.locator(".problem", { hasText: "ETAG_MISMATCH" }).waitFor();
+  assert.equal((await of()).sessions, 7);
+  await page.reload();
+  await card(page, "acme").getByText("1 of 7").waitFor();
+  await change();
+  await form.getByLabel(/^Sessions/).fill("");
+  await set();
+  await card(page, "acme").getByText("1, no limit").waitFor();
+  await call(admin, "/v1/tenants/acme", "PUT", { quotas: { sessions: 1, epochsPerS: 200 } });
+  // The tenant sees its own, and cannot change them.
+  const other = await open(address, FORMS[0].options, ["401"]);
+  await other.goto(`${address}/#/keys`);
+  await signIn(other, own);
+  await card(other, "acme").getByText("1 of 1").waitFor();
+  assert.equal(await other.locator(".tenant").count(), 1);
+  assert.equal(await other.getByRole("button", { name: /^Change the quotas/ }).count(), 0);
+  await other.context().close();
+}
+
 export async function keys() {
-  const { address } = await serve();
-  const page = await open(address, FORMS[0].options, ["401", "403"]);
+  const { address, database } = await serve();
+  const page = await open(address, FORMS[0].options, ["401", "403", "409", "412"]);
   page.on("filechooser", () => {}); // The browser shows none from now on, however busy it is.
   await page.goto(`${address}/#/keys`);
   await page.locator(".note.warn", { hasText: "No key exists" }).waitFor();
@@ -56,6 +104,7 @@ export async function keys() {
 
   const device = await create(page, "rovers", ["device"]);
   await stored(page);
+  await quotas(page, address, database, admin);
   const reader = await create(page, "wall display", ["read"]);
   await stored(page);
   assert.deepEqual([await status(address, device), await status(address, reader)], [403, 200]);
@@ -95,6 +144,8 @@ export async function keys() {
   await display.goto(`${address}/#/keys`);
   await signIn(display, reader);
   await display.locator(".problem", { hasText: "RIGHT_MISSING" }).waitFor();
+  await card(display, "acme").waitFor();
+  assert.equal(await display.getByRole("button", { name: /^Change the quotas/ }).count(), 0);
   assert.equal(await display.getByRole("link", { name: "Keys" }).count(), 0);
   await checkAccessibility(display, "keys without the right");
   await display.goto(`${address}/#/jobs`);

@@ -84,6 +84,7 @@ export async function jobs(wanted: number, signal?: AbortSignal): Promise<{ jobs
 export const job = (id: string, signal?: AbortSignal) => ask<Job>(`/v1/jobs/${path(id)}`, signal);
 export const report = (id: string, signal?: AbortSignal) => ask<JobReport>(`/v1/jobs/${path(id)}/report`, signal);
 export const cancel = (id: string) => change<Job>("DELETE", `/v1/jobs/${path(id)}`);
+export const remove = (id: string) => change<Job>("DELETE", `/v1/jobs/${path(id)}?purge=true`);
 export const resultPath = (id: string): string => `/v1/jobs/${path(id)}/result`;
 export const eventsPath = (id: string): string => `/v1/jobs/${path(id)}/events`;
 

@@ -131,7 +131,8 @@ function nmeaParser(other: StatusName): Parser {
   };
 }
 
-const PARSERS: Record<string, (other: StatusName) => Parser> = {
+/** What reads the lines of each format. */
+export const PARSERS: Record<string, (other: StatusName) => Parser> = {
   pos: posParser, csv: csvParser, geojson: geojsonParser, kml: kmlParser, gpx: gpxParser, nmea: nmeaParser,
 };
 

@@ -177,12 +177,48 @@ export interface TrackPoint {
   seq: number;
 }
 
+interface LineStyle {
+  line: string;
+  width?: number;
+  dash?: number[];
+}
+
+function drawLine(g: CanvasRenderingContext2D, view: View, placed: { x: number; y: number }[], { line, width = 1, dash = [] }: LineStyle): void {
+  g.strokeStyle = line;
+  g.lineWidth = width;
+  g.lineJoin = "round";
+  g.setLineDash(dash);
+  g.beginPath();
+  placed.forEach(({ x, y }, i) => {
+    const [px, py] = view.project(x, y);
+    if (i === 0) g.moveTo(px, py);
+    else g.lineTo(px, py);
+  });
+  g.stroke();
+  g.setLineDash([]);
+}
+
+/** Where the antenna was by another source: a line of which no point can be chosen. */
+export class TruthTrack implements Layer {
+  private readonly placed: { x: number; y: number }[];
+  constructor(points: LonLat[]) {
+    this.placed = points.map((point) => {
+      const [x, y] = mercator(point);
+      return { x, y };
+    });
+  }
+
+  draw(g: CanvasRenderingContext2D, view: View): void {
+    drawLine(g, view, this.placed, { line: isDark() ? "#d3f04f" : "#4f6f00", width: 2.2, dash: [7, 4] });
+  }
+}
+
 /** A track, coloured by status, or as one line without symbols. */
 export class Track implements Layer {
   private readonly placed: { x: number; y: number; point: TrackPoint }[];
   constructor(
     points: TrackPoint[],
-    private readonly style: { line: string; dots: boolean; width?: number },
+    private readonly style: LineStyle & { dots: boolean },
   ) {
     this.placed = points.map((point) => {
       const [x, y] = mercator(point.at);
@@ -191,16 +227,7 @@ export class Track implements Layer {
   }
 
   draw(g: CanvasRenderingContext2D, view: View): void {
-    g.strokeStyle = this.style.line;
-    g.lineWidth = this.style.width ?? 1;
-    g.lineJoin = "round";
-    g.beginPath();
-    this.placed.forEach(({ x, y }, i) => {
-      const [px, py] = view.project(x, y);
-      if (i === 0) g.moveTo(px, py);
-      else g.lineTo(px, py);
-    });
-    g.stroke();
+    drawLine(g, view, this.placed, this.style);
     if (!this.style.dots) return;
     // One path for each state: thousands of points at once.
     const byState = new Map<State, Path2D>();

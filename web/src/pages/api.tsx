@@ -43,7 +43,7 @@ export function ApiPage() {
         <h3>Positions of a session</h3>
         <Copyable label="Read solutions" text={`curl '${origin}/v1/sessions/ses_…/solutions?pageSize=2'${key}\n# a day thinned for a plot\ncurl '${origin}/v1/sessions/ses_…/solutions:series?points=100'${key}\n# why the last epoch is what it is\ncurl '${origin}/v1/sessions/ses_…/epochs/last'${key}\n# as a file; .pos, .csv, .geojson, .gpx and .nmea too\ncurl -O -J '${origin}/v1/sessions/ses_…/track.kml'${key}`} />
         <h3>Live, and the fleet at a glance</h3>
-        <Copyable label="Watch a session, and the latest of all" text={`# solutions as they are committed, as server-sent events\ncurl -N '${origin}/v1/sessions/ses_…/solutions:watch'${key}\n# the latest status and position of all sessions\ncurl '${origin}/v1/sessions:heads'${key}`} />
+        <Copyable label="Watch a session, and the latest of all" text={`# solutions as they are committed, as server-sent events\ncurl -N '${origin}/v1/sessions/ses_…/solutions:watch'${key}\n# the latest status and position of all sessions\ncurl '${origin}/v1/sessions:heads'${key}\n# the same as it changes\ncurl -N '${origin}/v1/sessions:watch'${key}`} />
       </section>
       <section class="card">
         <h2>gRPC</h2>

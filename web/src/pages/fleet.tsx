@@ -1,6 +1,7 @@
 /** The fleet: counts by status, a list of any length, and a map. */
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { type Head, bases, heads } from "../api";
+import { bases } from "../api";
+import { type Fleet, type Seen, useFleet } from "../fleet";
 import { useLive } from "../live";
 import { BaseMarkers, Markers } from "../map/layers";
 import { Map2d } from "../map/map";
@@ -15,52 +16,37 @@ const LOST_CHOICES = [10, 60, 600, 3600];
 /** Lost devices that are named. */
 const NAMED = 6;
 
-interface Device {
-  head: Head;
+/** A session with its state of now. */
+interface Device extends Seen {
   state: State;
-  name: string;
-  /** When its last epoch was. */
-  age: string;
-  words: string;
+  /** Seconds since its last epoch; null before the first. */
+  ageS: number | null;
+  /** Epochs arrive, whatever their time tags are. */
+  isArriving: boolean;
 }
 
-/** Larger fleets are asked for less often. */
-const interval = (list: Head[]): number => (list.length < 500 ? 2000 : list.length < 3000 ? 5000 : 10_000);
-
 /**
- * The heads with their states. A device whose epochs arrive while the page looks on is not lost,
+ * The sessions with their states. A device whose epochs arrive while the page looks on is not lost,
  * even if their time tags are old: it catches up, or plays a recording.
  */
-function useDevices(list: Head[] | undefined, lostAfterS: number): Device[] {
-  const arrivals = useRef(new Map<string, { seq: number; at: number }>());
-  return useMemo(() => {
-    const now = Date.now();
-    return (list ?? []).map((head) => {
-      const before = arrivals.current.get(head.session);
-      let arriving = false;
-      if (head.lastSeq !== null) {
-        if (!before) arrivals.current.set(head.session, { seq: head.lastSeq, at: 0 });
-        else if (before.seq !== head.lastSeq) arrivals.current.set(head.session, { seq: head.lastSeq, at: now });
-        const at = arrivals.current.get(head.session)?.at ?? 0;
-        arriving = at !== 0 && now - at < lostAfterS * 1000;
-      }
-      const state = stateOf(head, arriving ? Infinity : lostAfterS);
-      const name = head.label || head.session.slice(0, 12);
-      const age = head.ageS === null ? "–" : arriving && lostAfterS < head.ageS ? "receiving" : ago(head.ageS);
-      return { head, state, name, age, words: `${head.label} ${head.session} ${head.mode}`.toLowerCase() };
-    });
-  }, [list, lostAfterS]);
+function devicesOf({ list = [], now }: Fleet, lostAfterS: number): Device[] {
+  return list.map((seen) => {
+    const { head, at, movedAt } = seen;
+    const ageS = head.ageS === null ? null : head.ageS + Math.max(0, now - at) / 1000;
+    const isArriving = movedAt !== 0 && now - movedAt < lostAfterS * 1000;
+    return { ...seen, ageS, isArriving, state: stateOf({ ...head, ageS }, isArriving ? Infinity : lostAfterS) };
+  });
 }
 
 export function FleetPage() {
   useTheme();
-  const live = useLive("fleet", heads, interval);
+  const fleet = useFleet();
   const stations = useLive("fleet-bases", bases, 15_000);
   const [lostAfter, setLostAfter] = useState(lostAfterS);
   const [text, setText] = useState("");
   const [chosen, setChosen] = useState<ReadonlySet<State>>(new Set());
   const [hovered, setHovered] = useState<string>();
-  const devices = useDevices(live.value, lostAfter);
+  const devices = useMemo(() => devicesOf(fleet, lostAfter), [fleet, lostAfter]);
 
   const counts = useMemo(() => {
     const counts = new Map<State, number>();
@@ -71,7 +57,7 @@ export function FleetPage() {
     const wanted = text.trim().toLowerCase();
     return devices
       .filter(({ state, words }) => (chosen.size === 0 || chosen.has(state)) && words.includes(wanted))
-      .sort((a, b) => urgency(a.state) - urgency(b.state) || ORDER.compare(a.name, b.name));
+      .sort((a, b) => urgency(a.state) - urgency(b.state)); // And by name, as they come.
   }, [devices, text, chosen]);
 
   const toggle = (state: State) => {
@@ -84,11 +70,11 @@ export function FleetPage() {
     setLostAfter(s);
   };
 
-  if (!live.value) {
+  if (!fleet.list) {
     return (
       <div class="page">
         <h1>Fleet</h1>
-        {live.problem ? <ProblemBox problem={live.problem} what="The fleet cannot be loaded" /> : <Loading what="the fleet" />}
+        {fleet.problem ? <ProblemBox problem={fleet.problem} what="The fleet cannot be loaded" /> : <Loading what="the fleet" />}
       </div>
     );
   }
@@ -108,7 +94,7 @@ export function FleetPage() {
             </select>
           </label>
         </div>
-        {live.problem && <ProblemBox problem={live.problem} what="The fleet is not up to date" />}
+        {fleet.problem && <ProblemBox problem={fleet.problem} what="The fleet is not up to date" />}
         <div class="chips" role="group" aria-label="Filter by status; the symbols are those of the map">
           {STATES.filter((state) => counts.has(state) || chosen.has(state)).map((state) => (
             <button key={state} type="button" class="chip" aria-pressed={chosen.has(state)} title={LOOKS[state].meaning} onClick={() => toggle(state)}>
@@ -127,9 +113,9 @@ export function FleetPage() {
             <input type="search" placeholder="Find by name, id or mode" aria-label="Find by name, id or mode" value={text} onInput={(event) => setText(event.currentTarget.value)} />
             <span class="small" role="status">{count(shown.length)} of {count(devices.length)}</span>
           </div>
-          <List devices={shown} hovered={hovered} />
+          <List devices={shown} lostAfterS={lostAfter} hovered={hovered} />
         </section>
-        <FleetMap devices={shown} sites={sites} hovered={hovered} onHover={setHovered} />
+        <FleetMap devices={shown} sites={sites} lostAfterS={lostAfter} hovered={hovered} onHover={setHovered} />
       </div>
     </div>
   );
@@ -138,17 +124,16 @@ export function FleetPage() {
 /** What calls for a look stands first, what is not live last. */
 const urgency = (state: State): number =>
   state === "LOST" || state === "NONE" ? 0 : state === "NEW" || state === "CLOSED" ? 2 : 1;
-const ORDER = new Intl.Collator("en", { numeric: true });
 
 function LostDevices({ devices, onAll }: { devices: Device[]; onAll: () => void }) {
   if (devices.length === 0) return null;
-  const sorted = [...devices].sort((a, b) => (a.head.ageS ?? 0) - (b.head.ageS ?? 0));
+  const sorted = [...devices].sort((a, b) => (a.ageS ?? 0) - (b.ageS ?? 0));
   return (
     <p class="lost" role="status">
       <Symbol state="LOST" size={16} />
       <strong>{devices.length === 1 ? "One device is lost:" : `${count(devices.length)} devices are lost:`}</strong>
-      {sorted.slice(0, NAMED).map(({ head, name }) => (
-        <a key={head.session} href={`#/sessions/${head.session}`}>{name} <span class="small">{ago(head.ageS ?? 0)}</span></a>
+      {sorted.slice(0, NAMED).map(({ head, name, ageS }) => (
+        <a key={head.session} href={`#/sessions/${head.session}`}>{name} <span class="small">{ago(ageS ?? 0)}</span></a>
       ))}
       {NAMED < devices.length && <button type="button" class="quiet" onClick={onAll}>and {count(devices.length - NAMED)} more</button>}
     </p>
@@ -156,7 +141,7 @@ function LostDevices({ devices, onAll }: { devices: Device[]; onAll: () => void 
 }
 
 /** A list of any length: only the rows in sight are in the page. */
-function List({ devices, hovered }: { devices: Device[]; hovered?: string }) {
+function List({ devices, lostAfterS, hovered }: { devices: Device[]; lostAfterS: number; hovered?: string }) {
   const box = useRef<HTMLDivElement>(null);
   const [top, setTop] = useState(0);
   const [height, setHeight] = useState(600);
@@ -181,7 +166,7 @@ function List({ devices, hovered }: { devices: Device[]; hovered?: string }) {
       <ul style={{ height: `${devices.length * ROW_PX}px` }}>
         {rows.map((device, i) => (
           <li key={device.head.session} style={{ transform: `translateY(${(first + i) * ROW_PX}px)` }}>
-            <Row device={device} hovered={device.head.session === hovered} />
+            <Row device={device} lostAfterS={lostAfterS} hovered={device.head.session === hovered} />
           </li>
         ))}
       </ul>
@@ -190,14 +175,19 @@ function List({ devices, hovered }: { devices: Device[]; hovered?: string }) {
   );
 }
 
-function Row({ device: { head, state, name, age }, hovered }: { device: Device; hovered: boolean }) {
+/** When the last epoch of a device was. */
+const ageOf = ({ ageS, isArriving }: Device, lostAfterS: number): string =>
+  ageS === null ? "–" : isArriving && lostAfterS < ageS ? "receiving" : ago(ageS);
+
+function Row({ device, lostAfterS, hovered }: { device: Device; lostAfterS: number; hovered: boolean }) {
+  const { head, state, name } = device;
   return (
     <a class={`device ${hovered ? "hovered" : ""}`} href={`#/sessions/${head.session}`}>
       <Symbol state={state} size={18} />
       <span class="device-name">{name}</span>
       <span class="device-mode">{head.mode}{head.lastSeq !== null && ` · epoch ${count(head.lastSeq)}`}</span>
       <span class="device-state">{LOOKS[state].name}</span>
-      <span class="device-age">{age}</span>
+      <span class="device-age">{ageOf(device, lostAfterS)}</span>
     </a>
   );
 }
@@ -205,11 +195,12 @@ function Row({ device: { head, state, name, age }, hovered }: { device: Device; 
 interface FleetMapProps {
   devices: Device[];
   sites: { id: string; at: { lon: number; lat: number }; label: string }[];
+  lostAfterS: number;
   hovered?: string;
   onHover: (id: string | undefined) => void;
 }
 
-function FleetMap({ devices, sites, hovered, onHover }: FleetMapProps) {
+function FleetMap({ devices, sites, lostAfterS, hovered, onHover }: FleetMapProps) {
   const { placed, markers, frame } = useMemo(() => {
     const placed = devices.flatMap(({ head: { session, position }, state, name }) =>
       position ? [{ id: session, at: { lon: position.longitudeDeg, lat: position.latitudeDeg }, state, label: name }] : [],
@@ -227,7 +218,7 @@ function FleetMap({ devices, sites, hovered, onHover }: FleetMapProps) {
   return (
     <Map2d label="Map of the fleet" layers={layers} frame={frame} frameKey="fleet" smallestM={400} onPick={pick} onHover={(id) => onHover(id)}>
       {device && (
-        <div class="map-note"><Badge state={device.state} /> <b>{device.name}</b> <span class="small">{device.head.mode} · {device.age}</span></div>
+        <div class="map-note"><Badge state={device.state} /> <b>{device.name}</b> <span class="small">{device.head.mode} · {ageOf(device, lostAfterS)}</span></div>
       )}
       {placed.length === 0 && <div class="map-note">No session has a position yet.</div>}
     </Map2d>

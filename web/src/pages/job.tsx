@@ -1,7 +1,7 @@
 /** One job: its progress while it runs, then its report and its track, or why it has failed. */
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { type GpsTime, Problem, type StatusName } from "../api";
-import { type Job, type JobReport, eventsPath, hasEnded, job as jobOf, report as reportOf, resultPath } from "../jobs/api";
+import { type Job, type JobReport, eventsPath, hasEnded, job as jobOf, remove, report as reportOf, resultPath } from "../jobs/api";
 import { Bar, setDraft } from "../jobs/new";
 import { type Row, horizontalSigma, load, thinned } from "../jobs/result";
 import { JobLamp, answerOf, left, nameOf, ranFor, when } from "../jobs/state";
@@ -13,7 +13,9 @@ import { Plots } from "../plots";
 import { useRight } from "../rights";
 import { LOOKS, colourOf, isDark, lookState } from "../status";
 import { bytes, count, duration, length, unixS, utc } from "../time";
-import { Badge, Figure, Loading, ProblemBox, Share, Symbol, sentence, useTheme } from "../ui";
+import { type Truth, TruthCard, TruthLegend, truthLayer } from "../truth/card";
+import type { Epoch } from "../truth/compare";
+import { Badge, Confirm, Figure, Loading, ProblemBox, Share, Symbol, sentence, useTheme } from "../ui";
 import { CancelJob } from "./jobs";
 
 /** Points of the track and of plots. */
@@ -53,8 +55,25 @@ export function JobPage({ id }: { id: string }) {
       {job.state === "CANCELLED" && <p class="note">The job was cancelled {when(job.endedUtc)} UTC, after {count(job.progress.epochs)} epochs. It has no result.</p>}
       {job.state === "SUCCEEDED" && <Succeeded job={job} />}
       <Request job={job} />
-      {mayOperate && <p><a class="quiet" href="#/jobs" onClick={() => setDraft(draftOf(job))}>A new job with these options</a></p>}
+      {mayOperate && (
+        <div class="acts">
+          <a class="quiet" href="#/jobs" onClick={() => setDraft(draftOf(job))}>A new job with these options</a>
+          {hasEnded(job) && <DeleteJob job={job} />}
+        </div>
+      )}
     </div>
+  );
+}
+
+function DeleteJob({ job }: { job: Job }) {
+  const act = async () => {
+    await remove(job.job);
+    location.hash = "#/jobs";
+  };
+  return (
+    <Confirm words="Delete" name={nameOf(job)} yes="Delete it" no="Keep it" failed="The job was not deleted" act={act}>
+      Its files{job.state === "SUCCEEDED" ? ", result and report" : ""} are lost for good.
+    </Confirm>
   );
 }
 
@@ -171,6 +190,7 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
   const [problem, setProblem] = useState<Problem>();
   const [zoom, setZoom] = useState<[number, number]>();
   const [chosen, setChosen] = useState<number>();
+  const [truth, setTruth] = useState<Truth>();
   useEffect(() => {
     if (!wanted) return undefined;
     const stop = new AbortController();
@@ -182,6 +202,8 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
     return () => stop.abort();
   }, [wanted]);
   const series = useMemo(() => rows && thinned(rows, POINTS, ...(zoom ?? [])), [rows, zoom]);
+  const compared = useMemo(() => [{ name: "Result", epochs: epochsOf(rows ?? [], zoom) }], [rows, zoom]);
+  const chart = { selected: chosen, onPick: setChosen, onZoom: (from: GpsTime, to: GpsTime) => setZoom([unixS(from), unixS(to)]) };
   const row = chosen === undefined ? undefined : rows?.[chosen - 1];
   return (
     <>
@@ -191,33 +213,42 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
           {problem && <ProblemBox problem={problem} what="The track cannot be shown" />}
           {wanted && !rows && !problem && <Loading what="the track" />}
           {rows?.length === 0 && <p class="note">No epoch has a position, so there is no track.</p>}
-          {series && series.solutions > 0 && <ResultMap series={series} row={row} frameKey={`${job.job}:${zoom?.join()}`} onPick={setChosen} />}
+          {series && series.solutions > 0 && <ResultMap series={series} row={row} truth={truth} frameKey={`${job.job}:${zoom?.join()}`} onPick={setChosen} />}
         </div>
         <ReportView job={job} report={report} />
       </div>
       {row && <Chosen row={row} number={chosen ?? 0} onClose={() => setChosen(undefined)} />}
       {zoom && <p><button type="button" class="quiet" onClick={() => setZoom(undefined)}>Show the whole recording</button></p>}
       {series && series.solutions > 0 && (
-        <Plots series={series} selected={chosen} onPick={setChosen} onZoom={(from: GpsTime, to: GpsTime) => setZoom([unixS(from), unixS(to)])} />
+        <>
+          <Plots series={series} {...chart} />
+          <TruthCard compared={compared} truth={truth} onTruth={setTruth} {...chart} />
+        </>
       )}
     </>
   );
 }
 
+/** The positions of a span of time, or all. */
+const epochsOf = (rows: Row[], [from, to] = [-Infinity, Infinity]): Epoch[] =>
+  rows.flatMap((row, i) => (from <= row.unix && row.unix <= to && Number.isFinite(row.latDeg) ? [{ seq: i + 1, unix: row.unix, latDeg: row.latDeg, lonDeg: row.lonDeg, heightM: row.heightM }] : []));
+
 interface ResultMapProps {
   series: ReturnType<typeof thinned>;
   row: Row | undefined;
+  truth: Truth | undefined;
   frameKey: string;
   onPick: (seq: number) => void;
 }
 
-function ResultMap({ series, row, frameKey, onPick }: ResultMapProps) {
+function ResultMap({ series, row, truth, frameKey, onPick }: ResultMapProps) {
   const points = useMemo(() => series.intervals.flatMap(({ position, status, seq }): TrackPoint[] =>
     position ? [{ at: { lon: position.longitudeDeg, lat: position.latitudeDeg }, state: lookState(status), seq }] : []), [series]);
   const frame = useMemo(() => points.map(({ at }) => at), [points]);
   const theme = isDark();
   const layers = useMemo(() => {
     const list: Layer[] = [new Track(points, { line: theme ? "#3d5566" : "#b4c6d0", dots: true })];
+    if (truth) list.push(truthLayer(truth, series.intervals.map(({ time }) => ({ unix: unixS(time) }))));
     if (row && Number.isFinite(row.latDeg)) {
       const known = (value: number) => (Number.isFinite(value) ? value : 0);
       const covariance = { ee: known(row.sigmaEastM) ** 2, en: known(row.eastNorthM2), nn: known(row.sigmaNorthM) ** 2 };
@@ -225,7 +256,7 @@ function ResultMap({ series, row, frameKey, onPick }: ResultMapProps) {
       list.push(new ChosenEpoch({ lon: row.lonDeg, lat: row.latDeg }, lookState(row.status), covariance, protection));
     }
     return list;
-  }, [points, row, theme]);
+  }, [points, row, truth, theme]);
   const states = [...new Set(points.map(({ state }) => state))];
   return (
     <section class="card map-card job-map" aria-label="Track">
@@ -233,6 +264,7 @@ function ResultMap({ series, row, frameKey, onPick }: ResultMapProps) {
       <Map2d label="Map of the track" layers={layers} frame={frame} frameKey={frameKey} smallestM={2} anchor={points[0]?.at} calmWheel onPick={(picked) => { if (picked) onPick(Number(picked)); }} />
       <p class="map-legend">
         {states.map((state) => <span key={state}><Symbol state={state} size={11} />{LOOKS[state].name}</span>)}
+        <TruthLegend truth={truth} />
         {row && Number.isFinite(row.sigmaEastM) && <span><i class="oval" />95 % error ellipse</span>}
       </p>
     </section>

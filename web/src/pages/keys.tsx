@@ -1,10 +1,11 @@
-/** Keys for administrators: who may call what. */
+/** Keys and quotas for administrators: who may call what, and how much. */
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
 import { Problem, SIGNED_OUT, ask, change, problemOf, signIn } from "../api";
 import { useLive } from "../live";
+import { Quotas } from "../quotas";
 import { RIGHTS, type Right, SignedIn, useRight } from "../rights";
 import { ago, count, duration } from "../time";
-import { Copyable, Lamp, Loading, ProblemBox } from "../ui";
+import { Confirm, Copyable, Lamp, Loading, ProblemBox } from "../ui";
 
 interface Key {
   key: string;
@@ -51,8 +52,9 @@ export function KeysPage() {
   if (!mayAdmin) {
     return (
       <div class="page keys">
-        <h1>Keys</h1>
+        <h1>Keys and quotas</h1>
         <ProblemBox problem={new Problem("RIGHT_MISSING", `your key has the ${rights.length === 1 ? "right" : "rights"} ${rights.join(", ")}; keys are shown to those with the right admin`, "sign out, and sign in with a key that has the right admin")} what="Keys are not shown" />
+        {rights.includes("read") && <Quotas />}
       </div>
     );
   }
@@ -81,7 +83,7 @@ function Administration({ needed, own }: { needed: boolean; own: string | undefi
   };
   return (
     <div class="page keys">
-      <h1>Keys <span class="count">{live.value && count(inForce.length)}</span></h1>
+      <h1>Keys and quotas</h1>
       {!needed && (
         <p class="note warn">No key exists: the service serves this machine only, and everybody on it may do everything. <strong>From the first key on every call needs one, for good.</strong> The first one has the right <code>admin</code>, and this page signs in with it.</p>
       )}
@@ -91,6 +93,7 @@ function Administration({ needed, own }: { needed: boolean; own: string | undefi
       {!live.value && list.length === 0 && !live.problem && <Loading what="the keys" />}
       {list.length > 0 && (
         <section aria-label="All keys">
+          <h2>Keys <span class="count">{count(inForce.length)}</span></h2>
           <ul class="key-list">
             {(showEnded ? list : inForce).map((key) => (
               <KeyRow key={key.key} of={key} isOwn={key.key === own} isLastAdmin={key.rights.includes("admin") && inForce.filter(({ rights }) => rights.includes("admin")).length === 1} onChanged={again} onReplaced={(result) => made(result, key)} />
@@ -99,6 +102,7 @@ function Administration({ needed, own }: { needed: boolean; own: string | undefi
           {ended > 0 && <p><button type="button" class="quiet" aria-pressed={showEnded} onClick={() => setShowEnded(!showEnded)}>{showEnded ? "Hide" : "Show"} {count(ended)} revoked or expired</button></p>}
         </section>
       )}
+      <Quotas />
     </div>
   );
 }
@@ -239,39 +243,14 @@ interface RevokeProps {
 
 /** Revokes after a second click, because nothing brings a key back. */
 function Revoke({ of: key, isOwn, isLastAdmin, onRevoked, words = "Revoke" }: RevokeProps) {
-  const [asked, setAsked] = useState(false);
-  const [done, setDone] = useState(false);
-  const [problem, setProblem] = useState<Problem>();
-  const sure = useRef<HTMLButtonElement>(null);
-  useEffect(() => {
-    if (asked) sure.current?.focus();
-  }, [asked]);
   const revoke = async () => {
-    setAsked(false);
-    try {
-      await change<Key>("DELETE", `/v1/keys/${encodeURIComponent(key.key)}`);
-      setDone(true);
-      onRevoked();
-    } catch (error) {
-      setProblem(problemOf(error));
-    }
+    await change<Key>("DELETE", `/v1/keys/${encodeURIComponent(key.key)}`);
+    onRevoked();
   };
-  const name = key.label || key.key.slice(0, 12);
-  if (done) return <span class="small" role="status">Revoked.</span>;
   return (
-    <div class="revoke">
-      {!asked && <button type="button" class="quiet" onClick={() => setAsked(true)} aria-label={`${words}: ${name}`}>{words}</button>}
-      {asked && (
-        <div class="sure" role="group" aria-label={`Revoke ${name}?`}>
-          <span class="small">
-            Its clients are refused at once, for good.{isOwn && " It is yours: you are signed out."}
-            {isLastAdmin && " It is the last one with admin: from then on only the command line makes keys."}
-          </span>
-          <button type="button" class="danger" ref={sure} onClick={revoke}>Revoke it</button>
-          <button type="button" class="quiet" onClick={() => setAsked(false)}>Keep it</button>
-        </div>
-      )}
-      {problem && <ProblemBox problem={problem} what="The key was not revoked" />}
-    </div>
+    <Confirm words={words} name={key.label || key.key.slice(0, 12)} yes="Revoke it" no="Keep it" failed="The key was not revoked" done="Revoked." act={revoke}>
+      Its clients are refused at once, for good.{isOwn && " It is yours: you are signed out."}
+      {isLastAdmin && " It is the last one with admin: from then on only the command line makes keys."}
+    </Confirm>
   );
 }

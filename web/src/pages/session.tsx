@@ -2,18 +2,22 @@
 import { useMemo, useRef, useState } from "preact/hooks";
 import {
   type Base, type Explained, type GpsTime, type Interval, type Series, type Session, type Solution,
-  bases, explain, gpsText, series, session,
+  bases, closeSession, deleteSession, explain, gpsText, residuals, series, session,
 } from "../api";
 import { Delays } from "../delay";
 import { Plots } from "../plots";
-import { useLive } from "../live";
+import { type Live, useLive } from "../live";
 import { BaseMarkers, BaselineLine, ChosenEpoch, Track, type TrackPoint } from "../map/layers";
 import { Map2d } from "../map/map";
 import type { Layer, LonLat } from "../map/view";
+import { Residuals } from "../residuals";
+import { useRight } from "../rights";
 import { SatelliteTable, SkyLegend, SkyPlot } from "../sky";
 import { LOOKS, type State, colourOf, isDark, lookState, lostAfterS } from "../status";
-import { ago, count, duration, gpsTime, learnLeapSeconds, length, unixS, utc } from "../time";
-import { Badge, Because, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Share, Symbol, sentence, useTheme } from "../ui";
+import { ago, count, duration, gpsTime, learnLeapSeconds, length, recordedUnixS, unixS, utc } from "../time";
+import { type Truth, TruthCard, TruthLegend, truthLayer } from "../truth/card";
+import type { Epoch } from "../truth/compare";
+import { Badge, Because, Confirm, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Share, Symbol, sentence, useTheme } from "../ui";
 import { Download } from "./download";
 import { siteOf } from "./site";
 
@@ -23,6 +27,8 @@ type Revision = "both" | "first" | "last";
 
 /** Points of a series: more than a screen has columns for, few enough to load at once. */
 const POINTS = 1200;
+/** Epochs whose residuals are shown: each is computed when it is asked for. */
+const RESIDUAL_POINTS = 200;
 
 interface Tracks {
   causal: Series;
@@ -36,8 +42,10 @@ export function SessionPage({ id }: { id: string }) {
   const [chosen, setChosen] = useState<number>();
   const [span, setSpan] = useState<Span>("3600");
   const [zoom, setZoom] = useState<Zoom>();
+  const [truth, setTruth] = useState<Truth>();
+  const [isClosed, setIsClosed] = useState(false);
   const about = useLive(`session:${id}`, (signal) => session(id, signal), 10_000);
-  const closed = about.value?.closed ?? false;
+  const closed = isClosed || (about.value?.closed ?? false);
   const last = useLive(`last:${id}`, (signal) => explain(id, null, signal), closed ? 30_000 : 1500);
   const epoch = useLive(
     `epoch:${id}:${chosen ?? "last"}`,
@@ -47,7 +55,11 @@ export function SessionPage({ id }: { id: string }) {
   const stations = useLive("session-bases", bases, 30_000);
   const latest = last.value?.solutions[0];
   if (latest) learnLeapSeconds(latest.time, latest.timeUtc);
-  const tracks = useTracks(id, span, zoom, latest, closed);
+  const shownSpan = { id, span, zoom, latest, closed };
+  const tracks = useTracks(shownSpan);
+  const points = useResiduals(shownSpan);
+  const zoomTo = (from: GpsTime, to: GpsTime) => setZoom({ from, to });
+  const chart = { selected: chosen, onPick: setChosen, onZoom: zoomTo };
 
   if (!about.value) {
     return (
@@ -61,7 +73,7 @@ export function SessionPage({ id }: { id: string }) {
   const isEmpty = last.problem?.code === "SESSION_EMPTY";
   return (
     <div class="page session">
-      <Title about={about.value} latest={latest} />
+      <Title about={about.value} closed={closed} latest={latest} />
       {about.problem && <ProblemBox problem={about.problem} what="The session is not up to date" />}
       {last.problem && !isEmpty && <ProblemBox problem={last.problem} what="The last epoch cannot be loaded" />}
       {isEmpty ? <NoEpochs id={id} /> : (
@@ -83,50 +95,79 @@ export function SessionPage({ id }: { id: string }) {
           {epoch.problem && <ProblemBox problem={epoch.problem} what={`Epoch ${chosen} cannot be shown`} />}
           <Figures solution={newest(shown)} />
           <div class="session-grid">
-            <SessionMap id={id} tracks={tracks.value} shown={shown} bases={stations.value?.bases ?? []} onPick={setChosen} spanKey={`${id}:${span}:${zoom ? gpsText(zoom.from) : ""}`} />
+            <SessionMap id={id} tracks={tracks.value} shown={shown} bases={stations.value?.bases ?? []} truth={truth} onPick={setChosen} spanKey={`${id}:${span}:${zoom ? gpsText(zoom.from) : ""}`} />
             <Why about={about.value} shown={shown} tracks={tracks.value} />
           </div>
           {tracks.problem && <ProblemBox problem={tracks.problem} what="The time series cannot be loaded" />}
-          <Plots series={tracks.value?.causal} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />
-          {!closed && <Delays id={id} selected={chosen} onPick={setChosen} onZoom={(from, to) => setZoom({ from, to })} />}
+          {points.problem && <ProblemBox problem={points.problem} what="The residuals cannot be loaded" />}
+          <Plots series={tracks.value?.causal} {...chart}>
+            {points.value && <Residuals points={points.value} {...chart} />}
+          </Plots>
+          {tracks.value && <SessionTruth tracks={tracks.value} truth={truth} onTruth={setTruth} {...chart} />}
+          {!closed && <Delays id={id} {...chart} />}
           <Sky shown={shown} />
           <Details about={about.value} solution={newest(shown)} />
         </>
       )}
+      <Acts about={about.value} closed={closed} onClosed={() => setIsClosed(true)} />
     </div>
   );
 }
 
-/** The causal and the revised series of a span of time. */
-function useTracks(id: string, span: Span, zoom: Zoom | undefined, latest: Solution | undefined, closed: boolean) {
+/** A span of a session that is shown. */
+interface ShownSpan {
+  id: string;
+  span: Span;
+  zoom: Zoom | undefined;
+  latest: Solution | undefined;
+  closed: boolean;
+}
+interface Bounds {
+  from?: string;
+  to?: string;
+}
+
+/** Something of a span of time, again at a pace that suits how long it takes. */
+function useOfSpan<T>(what: string, { id, span, zoom, latest, closed }: ShownSpan, load: (bounds: Bounds, signal: AbortSignal) => Promise<T>): Live<T> {
   const end = useRef<Solution | undefined>(undefined);
   end.current = latest;
   const took = useRef(0);
   const key = zoom ? `${gpsText(zoom.from)}-${gpsText(zoom.to)}` : span;
-  return useLive<Tracks>(
-    `tracks:${id}:${key}:${latest ? "" : "waits"}`,
+  return useLive<T>(
+    `${what}:${id}:${key}:${latest ? "" : "waits"}`,
     async (signal) => {
       const begun = performance.now();
-      const bounds: { from?: string; to?: string } = {};
+      const bounds: Bounds = {};
       if (zoom) {
         bounds.from = gpsText(zoom.from);
         bounds.to = gpsText(zoom.to);
       } else if (span !== "all" && end.current) {
         bounds.from = gpsText(gpsTime(unixS(end.current.time) - Number(span)));
       }
-      const [causal, revised] = await Promise.all(
-        (["first", "last"] as const).map((revisions) => series(id, { ...bounds, points: POINTS, revisions }, signal)),
-      );
+      const loaded = await load(bounds, signal);
       took.current = performance.now() - begun;
-      return { causal, revised };
+      return loaded;
     },
-    () => (closed || zoom ? 60_000 : Math.max(3000, 15 * took.current)),
+    (loaded) => (loaded === undefined ? Infinity : closed || zoom ? 60_000 : Math.max(3000, 15 * took.current)),
   );
 }
 
+/** The causal and the revised series of a span of time. */
+const useTracks = (span: ShownSpan): Live<Tracks> =>
+  useOfSpan("tracks", span, async (bounds, signal) => {
+    const [causal, revised] = await Promise.all(
+      (["first", "last"] as const).map((revisions) => series(span.id, { ...bounds, points: POINTS, revisions }, signal)),
+    );
+    return { causal, revised };
+  });
+
+/** Residuals of epochs of a span of time; undefined from a service that has no such call. */
+const useResiduals = (span: ShownSpan) =>
+  useOfSpan("residuals", span, (bounds, signal) => residuals(span.id, { ...bounds, points: RESIDUAL_POINTS }, signal));
+
 const newest = (shown: Explained | undefined): Solution | undefined => shown?.solutions.at(-1);
 
-function Title({ about, latest }: { about: Session; latest: Solution | undefined }) {
+function Title({ about, closed, latest }: { about: Session; closed: boolean; latest: Solution | undefined }) {
   const age = latest ? Date.now() / 1000 - unixS(latest.time) : undefined;
   const arrivals = useRef({ seq: latest?.seq, at: 0 });
   if (latest && arrivals.current.seq !== latest.seq) {
@@ -134,7 +175,7 @@ function Title({ about, latest }: { about: Session; latest: Solution | undefined
   }
   const arriving = Date.now() - arrivals.current.at < 10_000;
   const lost = !arriving && lostAfterS() < (age ?? 0);
-  const state: State = about.closed ? "CLOSED" : !latest ? "NEW" : lost ? "LOST" : lookState(latest.status);
+  const state: State = closed ? "CLOSED" : !latest ? "NEW" : lost ? "LOST" : lookState(latest.status);
   return (
     <header class="session-title">
       <p class="crumb"><a href="#/fleet">← Fleet</a> · <a href={`#/history/${about.session}`}>History</a></p>
@@ -183,16 +224,41 @@ function pointsOf(series: Series): TrackPoint[] {
   });
 }
 
+/** The last position of each interval, as what a truth is compared with. */
+const epochsOf = ({ intervals }: Series): Epoch[] =>
+  intervals.flatMap(({ seq, time, position }) => {
+    if (!position) return [];
+    const { latitudeDeg: latDeg, longitudeDeg: lonDeg, heightM } = position;
+    return [{ seq, unix: recordedUnixS(time.week, time.nsOfWeek / 1e9), latDeg, lonDeg, heightM }];
+  });
+
+interface SessionTruthProps {
+  tracks: Tracks;
+  truth: Truth | undefined;
+  onTruth: (truth: Truth | undefined) => void;
+  selected: number | undefined;
+  onPick: (seq: number) => void;
+  onZoom: (from: GpsTime, to: GpsTime) => void;
+}
+
+function SessionTruth({ tracks: { causal, revised }, ...others }: SessionTruthProps) {
+  const compared = useMemo(() => [{ name: "Causal", epochs: epochsOf(causal) }, { name: "Revised", epochs: epochsOf(revised) }], [causal, revised]);
+  const isThinned = causal.intervals.length < causal.solutions;
+  const thinning = isThinned ? `thinned: the last position of each ${duration(causal.intervalLengthS)}; zoom in for all` : undefined;
+  return <TruthCard compared={compared} thinning={thinning} {...others} />;
+}
+
 interface SessionMapProps {
   id: string;
   tracks: Tracks | undefined;
   shown: Explained | undefined;
   bases: Base[];
+  truth: Truth | undefined;
   spanKey: string;
   onPick: (seq: number) => void;
 }
 
-function SessionMap({ id, tracks, shown, bases, spanKey, onPick }: SessionMapProps) {
+function SessionMap({ id, tracks, shown, bases, truth, spanKey, onPick }: SessionMapProps) {
   const [revision, setRevision] = useState<Revision>("both");
   const causal = useMemo(() => (tracks ? pointsOf(tracks.causal) : []), [tracks]);
   const revised = useMemo(() => (tracks ? pointsOf(tracks.revised) : []), [tracks]);
@@ -214,12 +280,13 @@ function SessionMap({ id, tracks, shown, bases, spanKey, onPick }: SessionMapPro
     if (revision === "both") list.push(new Track(revised, { line: coarse ? line : strong, dots: false, width: coarse ? 1 : 1.6 }));
     if (revision !== "last") list.push(new Track(causal, { line: revision === "both" ? "transparent" : line, dots: true }));
     if (revision === "last") list.push(new Track(revised, { line, dots: true }));
+    if (truth && tracks) list.push(truthLayer(truth, epochsOf(tracks.causal)));
     const cov = solution?.position?.covarianceEnuM2;
     if (solution && at && cov) {
       list.push(new ChosenEpoch(at, lookState(solution.status), { ee: cov.firstFirst, en: cov.firstSecond, nn: cov.secondSecond }, solution.horizontalProtectionM));
     }
     return list;
-  }, [causal, revised, revision, shown, bases, theme]);
+  }, [causal, revised, revision, shown, bases, truth, theme]);
   const states = [...new Set(causal.map(({ state }) => state))];
   const frame = useMemo(() => causal.map(({ at }) => at), [causal]);
   return (
@@ -234,6 +301,7 @@ function SessionMap({ id, tracks, shown, bases, spanKey, onPick }: SessionMapPro
       <p class="map-legend">
         {states.map((state) => <span key={state}><Symbol state={state} size={11} />{LOOKS[state].name}</span>)}
         {revision === "both" && <span><i class="stroke" />revised, smoothed by later epochs</span>}
+        <TruthLegend truth={truth} />
         <span><i class="oval" />95 % error ellipse</span>
         <span><i class="dashed-ring" />protection level</span>
       </p>
@@ -330,6 +398,33 @@ function Options({ options }: { options: Session["configuration"] }) {
           ))}
         </tbody>
       </table>
+    </div>
+  );
+}
+
+/** What ends a session, for those who may. */
+function Acts({ about: { session, label }, closed, onClosed }: { about: Session; closed: boolean; onClosed: () => void }) {
+  const mayOperate = useRight("operate");
+  if (!mayOperate) return null;
+  const name = label || session.slice(0, 12);
+  const close = async () => {
+    await closeSession(session);
+    onClosed();
+  };
+  const remove = async () => {
+    await deleteSession(session);
+    location.hash = "#/fleet";
+  };
+  return (
+    <div class="acts">
+      {!closed && (
+        <Confirm words="Close" name={name} yes="Close it" no="Keep it open" failed="The session was not closed" act={close}>
+          It takes no more epochs, for good: its device is refused. Its solutions stay.
+        </Confirm>
+      )}
+      <Confirm words="Delete for good" name={name} yes="Delete it" no="Keep it" failed="The session was not deleted" act={remove}>
+        Its epochs, solutions and observations are lost for good{closed ? "" : ", and its device is refused"}.
+      </Confirm>
     </div>
   );
 }
