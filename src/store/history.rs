@@ -13,6 +13,11 @@ use super::{
 };
 
 const PAGE_LIMIT: usize = 1_000;
+/// Sessions that are looked through for those with hours in a span and an area. A page ends there,
+/// full or not.
+const SCANNED: usize = 10_000;
+/// More sessions than can be created between two statements.
+const CREATED: usize = 100;
 /// Most rollups of one read: those of all hours of a year and more, or of all minutes of a week.
 pub(crate) const ROLLUPS_MAX: i64 = 20_000;
 const NS_PER_S: i64 = 1_000_000_000;
@@ -63,14 +68,26 @@ macro_rules! summaries {
             "h.closed_unix_ms AS closed_unix_ms ",
             "FROM sessions s JOIN session_heads h ON h.session = s.key ",
             condition!($order),
-            ") AS p LEFT JOIN rollups r ON r.session = p.key AND r.seconds = 3600 ",
+            // CROSS: SQLite must look up the hours of each session, not the sessions of all hours.
+            ") AS p CROSS JOIN rollups r WHERE r.session = p.key ",
+            "AND p.key BETWEEN $15 AND $16 AND r.seconds = 3600 ",
             "AND r.begin_s >= $7 AND r.begin_s <= $8 AND ($9 = 0 OR (r.south_deg <= $12 ",
             "AND r.north_deg >= $10 AND ((CAST($11 AS DOUBLE PRECISION) <= $13 ",
             "AND r.west_deg <= $13 AND r.east_deg >= $11) ",
             "OR (CAST($11 AS DOUBLE PRECISION) > $13 ",
             "AND (r.west_deg <= $13 OR r.east_deg >= $11))))) ",
             "GROUP BY p.key, p.id, p.label, p.mode, p.closed_unix_ms ORDER BY p.key ",
-            $sort
+            $sort,
+            " LIMIT $14"
+        )
+    };
+}
+/// Keys and ids of a page of sessions.
+macro_rules! ids {
+    ($order:ident) => {
+        concat!(
+            "SELECT s.key, s.id FROM sessions s JOIN session_heads h ON h.session = s.key ",
+            condition!($order)
         )
     };
 }
@@ -375,7 +392,7 @@ impl Store {
     }
 
     /// A page of the sessions of a tenant with their hours in a span and an area. It looks through
-    /// as many sessions as a page has, so it may have fewer, or none: its token tells.
+    /// [`SCANNED`] sessions, so it may have fewer, or none: its token tells.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
@@ -396,22 +413,48 @@ impl Store {
             north_deg: 0.0,
             east_deg: 0.0,
         });
+        let scanned = self.listed(tenant, sessions, beside, SCANNED + 1).await?;
+        let Page { items: scanned, next_page_token: beyond } =
+            Page::of(scanned, SCANNED, |(_, id)| id.clone());
+        let keys = || scanned.iter().map(|(key, _)| *key);
+        let Some((first, last)) = keys().min().zip(keys().max()) else {
+            return Ok(Page { items: Vec::new(), next_page_token: None });
+        };
         let rows: Result<Vec<RawSummary>, _> = reading!(list &self.pool, pool => {
             let sql = match sessions.oldest_first {
                 true => summaries!(oldest_first, ""),
                 false => summaries!(newest_first, "DESC"),
             };
-            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside);
+            // Sessions that were created meanwhile are not between the keys.
+            let select = select.bind((scanned.len() + CREATED) as i64);
             let select = select.bind(sessions.closed_column()).bind(&sessions.mode);
             let select = select.bind(&sessions.label).bind(from_s).bind(to_s);
             let select = select.bind(i32::from(filter.area.is_some())).bind(area.south_deg);
             let select = select.bind(area.west_deg).bind(area.north_deg).bind(area.east_deg);
-            select.fetch_all(pool).await
+            select.bind(rows_asked).bind(first).bind(last).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing the history of sessions"))?;
         let Page { items, next_page_token } = Page::of(rows, page_size, |row| row.id.clone());
         let items = items.into_iter().filter_map(RawSummary::parse).collect();
-        Ok(Page { items, next_page_token })
+        Ok(Page { items, next_page_token: next_page_token.or(beyond) })
+    }
+
+    /// Keys and ids of `rows` sessions of a list behind a key.
+    async fn listed(
+        &self,
+        tenant: &Tenant,
+        sessions: &SessionFilter,
+        beside: i64,
+        rows: usize,
+    ) -> Result<Vec<(i64, String)>, StoreError> {
+        let ids: Result<Vec<(i64, String)>, _> = reading!(list &self.pool, pool => {
+            let sql = if sessions.oldest_first { ids!(oldest_first) } else { ids!(newest_first) };
+            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside);
+            let select = select.bind(rows as i64).bind(sessions.closed_column());
+            select.bind(&sessions.mode).bind(&sessions.label).fetch_all(pool).await
+        });
+        ids.map_err(StoreError::database("listing the history of sessions"))
     }
 
     /// Removes up to `rows` of the hours of sessions and of fleets whose last epoch arrived before
