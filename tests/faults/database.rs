@@ -122,8 +122,8 @@ async fn the_settings_of_the_database_are_reported(database: Database) {
     assert_eq!(names, expected);
     let synchronous = store.settings().iter().find(|s| s.name.starts_with("synchronous"));
     assert_eq!(synchronous.unwrap().risk, None);
-    let risk_of_growth = store.settings().iter().find(|s| s.name == "autovacuum");
-    for DatabaseSetting { value, risk, .. } in risk_of_growth {
+    let vacuum = store.settings().iter().find(|s| s.name == "autovacuum");
+    if let Some(DatabaseSetting { value, risk, .. }) = vacuum {
         assert_eq!(*risk, (value == "off").then_some(SettingRisk::Growth));
     }
 }
