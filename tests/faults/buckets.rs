@@ -283,7 +283,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
             let answer = curl(port, &format!("/{job}"), &[]).unwrap_or_default();
             serde_json::from_slice(&answer).unwrap_or_default()
         };
-        let job = create(SPP);
+        let job = create("{\"mode\": \"fgo\"}"); // Long enough to be cut off.
         let runs = |job: &Value| job["progress"]["epochs"].as_u64().is_some_and(|n| 0 < n);
         until("running", async || get(&job), runs).await;
         worker.0.kill().unwrap();
@@ -296,7 +296,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
         let done = until("ended", async || get(&job), has_ended).await;
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let result = curl(port, &format!("/{job}/result"), &[]).unwrap();
-        assert!(result == HOUR.solved(&["--mode", "spp"], "pos"));
+        assert!(result == HOUR.solved(&["--mode", "fgo"], "pos"));
         assert_eq!(buckets.names("fleet/results/").len(), 1);
         assert_eq!((here.left(), third.left()), (0, 0));
         drop(other);
