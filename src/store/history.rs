@@ -13,9 +13,10 @@ use super::{
 };
 
 const PAGE_LIMIT: usize = 1_000;
-/// Sessions that are looked through for those with hours in a span and an area. A page ends there,
-/// full or not.
+/// Most sessions that are looked through for those that have been in an area, and most of their
+/// hours: a day of that many. A page ends there, full or not.
 const SCANNED: usize = 10_000;
+const SCANNED_HOURS: usize = 24 * SCANNED;
 /// More sessions than can be created between two statements.
 const CREATED: usize = 100;
 /// Most rollups of one read: those of all hours of a year and more, or of all minutes of a week.
@@ -101,6 +102,19 @@ pub struct HistoryFilter {
     pub span: (GpsTime, GpsTime),
     /// Only hours whose box of positions meets this area.
     pub area: Option<Bounds>,
+}
+
+impl HistoryFilter {
+    /// How many sessions a page looks through: as many as it has, and more in a short span for
+    /// those that have been in an area.
+    fn sessions_scanned(&self, page_size: usize) -> usize {
+        let (from_s, to_s) = seconds(self.span);
+        let hours = usize::try_from(to_s.saturating_sub(from_s) / 3_600 + 1).unwrap_or(1);
+        match self.area {
+            None => page_size,
+            Some(_) => (SCANNED_HOURS / hours.max(1)).min(SCANNED).max(page_size),
+        }
+    }
 }
 
 /// The history of a session as one item of a list.
@@ -392,7 +406,7 @@ impl Store {
     }
 
     /// A page of the sessions of a tenant with their hours in a span and an area. It looks through
-    /// [`SCANNED`] sessions, so it may have fewer, or none: its token tells.
+    /// a bounded number of sessions, so it may have fewer, or none: its token tells.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
@@ -413,9 +427,10 @@ impl Store {
             north_deg: 0.0,
             east_deg: 0.0,
         });
-        let scanned = self.listed(tenant, sessions, beside, SCANNED + 1).await?;
+        let most = filter.sessions_scanned(page_size);
+        let scanned = self.listed(tenant, sessions, beside, most + 1).await?;
         let Page { items: scanned, next_page_token: beyond } =
-            Page::of(scanned, SCANNED, |(_, id)| id.clone());
+            Page::of(scanned, most, |(_, id)| id.clone());
         let keys = || scanned.iter().map(|(key, _)| *key);
         let Some((first, last)) = keys().min().zip(keys().max()) else {
             return Ok(Page { items: Vec::new(), next_page_token: None });
@@ -478,5 +493,21 @@ impl Store {
             is_more |= removed == rows as u64;
         }
         Ok(is_more)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_span_or_no_area_looks_through_fewer_sessions() {
+        let scanned = |days: i64, area| {
+            let span = (begin(0), begin(days * 86_400 - 1));
+            HistoryFilter { sessions: SessionFilter::default(), span, area }.sessions_scanned(100)
+        };
+        let area = Bounds { south_deg: 0.0, west_deg: 0.0, north_deg: 1.0, east_deg: 1.0 };
+        assert_eq!([1, 30, 400].map(|days| scanned(days, Some(area))), [10_000, 333, 100]);
+        assert_eq!([1, 30, 400].map(|days| scanned(days, None)), [100; 3]);
     }
 }
