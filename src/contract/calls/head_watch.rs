@@ -58,6 +58,7 @@ pub async fn watch(
         filter,
         lease,
         sent: HashMap::new(),
+        reserved: 0,
         reading: 0,
         is_complete: false,
         sent_at: Instant::now(),
@@ -74,6 +75,8 @@ struct Watching {
     lease: Option<Lease>,
     /// What was sent, by session.
     sent: HashMap<String, Sent>,
+    /// For how many sessions memory is reserved: the most that there were.
+    reserved: usize,
     /// Number of the present reading.
     reading: u64,
     /// Whether all heads were sent once.
@@ -151,7 +154,10 @@ impl Watching {
             *before = sent;
             return Ok(is_new);
         }
-        self.lease.as_ref().map_or(Ok(()), |lease| lease.reserve(SENT_BYTES))?;
+        if self.reserved == self.sent.len() {
+            self.lease.as_ref().map_or(Ok(()), |lease| lease.reserve(SENT_BYTES))?;
+            self.reserved += 1;
+        }
         self.sent.insert(head.id.clone(), sent);
         Ok(true)
     }
