@@ -235,8 +235,6 @@ export class Problem extends Error {
     readonly remedy: string,
     readonly field = "",
     readonly requestId = "",
-    /** HTTP status of a refusal; 0 if there was no answer. */
-    readonly status = 0,
   ) {
     super(`${code}: ${detail}`);
   }
@@ -279,7 +277,6 @@ export function answered<T>(status: number, text: string, requestId: string | nu
     remedy ?? "try again; if it persists, look into the log of the service",
     field ?? "",
     requestId ?? "",
-    status,
   );
 }
 
@@ -349,19 +346,19 @@ export const signOut = async () => noted(await change<SignInState>("DELETE", "/v
 
 const path = encodeURIComponent;
 
-export async function heads(signal?: AbortSignal): Promise<Head[]> {
-  const all: Head[] = [];
+/** All items of a list, page by page; `name` is the field that has them. */
+export async function all<T>(list: string, name: string, pageSize: number, signal?: AbortSignal): Promise<T[]> {
+  const items: T[] = [];
   let token = "";
   do {
-    const page = await ask<{ heads: Head[]; nextPageToken: string }>(
-      `/v1/sessions:heads?pageSize=5000${token && `&pageToken=${path(token)}`}`,
-      signal,
-    );
-    all.push(...page.heads);
-    token = page.nextPageToken;
+    const page = await ask<Record<string, unknown>>(`${list}?pageSize=${pageSize}${token && `&pageToken=${path(token)}`}`, signal);
+    items.push(...(page[name] as T[]));
+    token = page.nextPageToken as string;
   } while (token);
-  return all;
+  return items;
 }
+
+export const heads = (signal?: AbortSignal) => all<Head>("/v1/sessions:heads", "heads", 5000, signal);
 
 export const session = (id: string, signal?: AbortSignal) =>
   ask<Session>(`/v1/sessions/${path(id)}`, signal);
@@ -391,21 +388,16 @@ export interface ResidualPoint {
   largestSatellite: string;
 }
 
-/** Epochs of a span, evenly spaced by number; undefined if the service has no such call. */
+/** Epochs of a span, evenly spaced by number. */
 export async function residuals(
   id: string,
   request: { from?: string; to?: string; points: number },
   signal?: AbortSignal,
-): Promise<ResidualPoint[] | undefined> {
+): Promise<ResidualPoint[]> {
   const { points, ...bounds } = request;
   const query = new URLSearchParams({ points: String(points), ...bounds });
-  try {
-    const answer = await ask<{ points: ResidualPoint[] }>(`/v1/sessions/${path(id)}/solutions:residuals?${query}`, signal);
-    return answer.points;
-  } catch (error) {
-    if (error instanceof Problem && error.status === 404) return undefined;
-    throw error;
-  }
+  const answer = await ask<{ points: ResidualPoint[] }>(`/v1/sessions/${path(id)}/solutions:residuals?${query}`, signal);
+  return answer.points;
 }
 
 /** All pages of a series as one; pages that split an interval are joined. */

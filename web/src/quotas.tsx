@@ -1,6 +1,6 @@
 /** Quotas of tenants beside what they use. The operator changes them. */
 import { useState } from "preact/hooks";
-import { type Problem, ask, change, problemOf } from "./api";
+import { type Problem, all, change, problemOf } from "./api";
 import { useLive } from "./live";
 import { useRight } from "./rights";
 import { bytes, count } from "./time";
@@ -39,16 +39,7 @@ const NEARLY = 0.9;
 /** The operator's tenant: only the operator's keys see it. */
 const OPERATOR = "default";
 
-async function tenants(signal?: AbortSignal): Promise<Tenant[]> {
-  const all: Tenant[] = [];
-  let token = "";
-  do {
-    const page = await ask<{ tenants: Tenant[]; nextPageToken: string }>(`/v1/tenants?pageSize=1000${token && `&pageToken=${encodeURIComponent(token)}`}`, signal);
-    all.push(...page.tenants);
-    token = page.nextPageToken;
-  } while (token);
-  return all;
-}
+const tenants = (signal?: AbortSignal) => all<Tenant>("/v1/tenants", "tenants", 1000, signal);
 
 export function Quotas() {
   const [changed, setChanged] = useState<Tenant>();

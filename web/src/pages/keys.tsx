@@ -1,6 +1,6 @@
 /** Keys and quotas for administrators: who may call what, and how much. */
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
-import { Problem, SIGNED_OUT, ask, change, problemOf, signIn } from "../api";
+import { Problem, SIGNED_OUT, all, change, problemOf, signIn } from "../api";
 import { useLive } from "../live";
 import { Quotas } from "../quotas";
 import { RIGHTS, type Right, SignedIn, useRight } from "../rights";
@@ -32,16 +32,7 @@ const LIFETIMES = [
   { days: 365, name: "a year" },
 ];
 
-async function keys(signal?: AbortSignal): Promise<Key[]> {
-  const all: Key[] = [];
-  let token = "";
-  do {
-    const page = await ask<{ keys: Key[]; nextPageToken: string }>(`/v1/keys?pageSize=1000${token && `&pageToken=${encodeURIComponent(token)}`}`, signal);
-    all.push(...page.keys);
-    token = page.nextPageToken;
-  } while (token);
-  return all;
-}
+const keys = (signal?: AbortSignal) => all<Key>("/v1/keys", "keys", 1000, signal);
 
 const isInForce = ({ revokedUtc, expiresUtc }: Key): boolean => !revokedUtc && !(expiresUtc && Date.parse(expiresUtc) <= Date.now());
 const agoOf = (utc: string): string => ago((Date.now() - Date.parse(utc)) / 1000);

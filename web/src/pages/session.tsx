@@ -148,7 +148,7 @@ function useOfSpan<T>(what: string, { id, span, zoom, latest, closed }: ShownSpa
       took.current = performance.now() - begun;
       return loaded;
     },
-    (loaded) => (loaded === undefined ? Infinity : closed || zoom ? 60_000 : Math.max(3000, 15 * took.current)),
+    () => (closed || zoom ? 60_000 : Math.max(3000, 15 * took.current)),
   );
 }
 
@@ -161,7 +161,7 @@ const useTracks = (span: ShownSpan): Live<Tracks> =>
     return { causal, revised };
   });
 
-/** Residuals of epochs of a span of time; undefined from a service that has no such call. */
+/** Residuals of epochs of a span of time. */
 const useResiduals = (span: ShownSpan) =>
   useOfSpan("residuals", span, (bounds, signal) => residuals(span.id, { ...bounds, points: RESIDUAL_POINTS }, signal));
 
