@@ -4,15 +4,15 @@ use std::convert::Infallible;
 
 use axum::response::Sse;
 use axum::response::sse::Event;
-use futures::{Stream, StreamExt, stream};
+use futures::Stream;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
-use crate::contract::{Caller, Refusal, calls, v1};
+use crate::contract::{Caller, calls, v1};
 
 use super::body::StrictQuery;
-use super::problem::{Problem, Refused};
-use super::watch::RETRY;
+use super::problem::Refused;
+use super::watch;
 
 /// Which heads to watch.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -45,16 +45,5 @@ pub(super) async fn events(
     let HeadsWatchQuery { closed, mode, label } = query;
     let request = v1::WatchHeadsRequest { closed, mode, label };
     let messages = calls::head_watch::watch(&caller, request).await?;
-    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
-    Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
-}
-
-/// A message as an event.
-fn event(message: Result<v1::WatchHeadsResponse, Refusal>) -> Event {
-    let named = |name: &str| Event::default().event(name);
-    let written = "a message is texts and finite numbers";
-    match message {
-        Ok(message) => named("heads").json_data(message).expect(written),
-        Err(refusal) => named("end").json_data(Problem::of(&refusal)).expect(written),
-    }
+    Ok(watch::events(messages, |message| watch::named("heads", &message)))
 }

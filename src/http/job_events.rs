@@ -5,12 +5,12 @@ use std::convert::Infallible;
 use axum::extract::Path;
 use axum::response::Sse;
 use axum::response::sse::Event;
-use futures::{Stream, StreamExt, stream};
+use futures::Stream;
 
-use crate::contract::{Caller, Refusal, calls, v1};
+use crate::contract::{Caller, calls, v1};
 
-use super::problem::{Problem, Refused};
-use super::watch::RETRY;
+use super::problem::Refused;
+use super::watch;
 
 /// Sends a job as it changes, as server-sent events.
 ///
@@ -27,19 +27,8 @@ pub(super) async fn events(
     Path(job): Path<String>,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
     let messages = calls::job_watch::watch(&caller, v1::GetJobRequest { job }).await?;
-    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
-    Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
-}
-
-/// A message as an event.
-fn event(message: Result<v1::Job, Refusal>) -> Event {
-    let named = |name: &str| Event::default().event(name);
-    let written = "a message is texts and finite numbers";
-    match message {
-        Ok(job) => {
-            let name = if job.ended_utc.is_empty() { "job" } else { "ended" };
-            named(name).json_data(job).expect(written)
-        }
-        Err(refusal) => named("end").json_data(Problem::of(&refusal)).expect(written),
-    }
+    Ok(watch::events(messages, |job| {
+        let name = if job.ended_utc.is_empty() { "job" } else { "ended" };
+        watch::named(name, &job)
+    }))
 }

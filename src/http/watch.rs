@@ -8,7 +8,7 @@ use axum::http::HeaderMap;
 use axum::response::Sse;
 use axum::response::sse::Event;
 use futures::{Stream, StreamExt, stream};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use utoipa::IntoParams;
 
 use crate::contract::{Caller, Refusal, calls, v1};
@@ -21,7 +21,7 @@ use super::solutions::revisions;
 /// Header with which a browser names the last event that it has.
 const LAST_EVENT: &str = "last-event-id";
 /// Delay before a browser watches again after a break.
-pub(super) const RETRY: Duration = Duration::from_secs(2);
+const RETRY: Duration = Duration::from_secs(2);
 
 /// Where a watch begins.
 #[derive(Clone, Debug, Default, Deserialize, IntoParams)]
@@ -68,19 +68,26 @@ pub(super) async fn watch(
         cursor: last.unwrap_or(query.cursor),
     };
     let messages = calls::watch::watch(&caller, request).await?;
-    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
-    Ok(Sse::new(retry.chain(messages.map(|message| Ok(event(message))))))
+    Ok(events(messages, |message| {
+        let name = if message.closed { "closed" } else { "solutions" };
+        named(name, &message).id(message.cursor)
+    }))
 }
 
-/// A message as an event.
-fn event(message: Result<v1::WatchSolutionsResponse, Refusal>) -> Event {
-    let named = |name: &str| Event::default().event(name);
+/// Messages as server-sent events, as `event` makes them; a refusal is the event `end`.
+pub(super) fn events<T>(
+    messages: impl Stream<Item = Result<T, Refusal>> + Send + 'static,
+    event: impl Fn(T) -> Event + Send + 'static,
+) -> Sse<impl Stream<Item = Result<Event, Infallible>>> {
+    let retry = stream::iter([Ok(Event::default().retry(RETRY))]);
+    let events = messages.map(move |message| {
+        Ok(message.map_or_else(|refusal| named("end", &Problem::of(&refusal)), &event))
+    });
+    Sse::new(retry.chain(events))
+}
+
+/// An event of this name.
+pub(super) fn named(name: &str, content: &impl Serialize) -> Event {
     let written = "a message is texts and finite numbers";
-    match message {
-        Ok(message) => {
-            let name = if message.closed { "closed" } else { "solutions" };
-            named(name).id(message.cursor.clone()).json_data(message).expect(written)
-        }
-        Err(refusal) => named("end").json_data(Problem::of(&refusal)).expect(written),
-    }
+    Event::default().event(name).json_data(content).expect(written)
 }
