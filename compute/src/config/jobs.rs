@@ -38,6 +38,8 @@ pub struct JobsConfiguration {
     pub upload_hours: u32,
     /// Time that one job may run (s).
     pub run_s: u64,
+    /// Time of a run between two checkpoints (s). A run that is cut off goes on after the last one.
+    pub checkpoint_s: u64,
     /// Time for which a job that has ended is kept, with its files (hours).
     pub keep_hours: u32,
     /// Time in which one input that is a URL must arrive (s).
@@ -67,6 +69,7 @@ impl JobsConfiguration {
             open_uploads: 64,
             upload_hours: 24,
             run_s: 3600,
+            checkpoint_s: 10,
             keep_hours: 168,
             fetch_s: 1800,
             webhook_attempts: 12,
@@ -88,6 +91,7 @@ impl JobsConfiguration {
             ("open_uploads", self.open_uploads as u64),
             ("upload_hours", u64::from(self.upload_hours)),
             ("run_s", self.run_s),
+            ("checkpoint_s", self.checkpoint_s),
             ("keep_hours", u64::from(self.keep_hours)),
             ("fetch_s", self.fetch_s),
             ("webhook_attempts", u64::from(self.webhook_attempts)),

@@ -264,8 +264,12 @@ impl EstimatorState {
     /// # Errors
     /// The bytes are not such a snapshot, or have another layout.
     pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
+        Self::opened(&PreparedOptions::new(options), snapshot)
+    }
+
+    fn opened(options: &PreparedOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
         let mut reader = SnapshotReader::open(snapshot, LAYOUT)?;
-        let state = Self::read(&PreparedOptions::new(options), &mut reader)?;
+        let state = Self::read(options, &mut reader)?;
         reader.finish()?;
         Ok(state)
     }
@@ -380,6 +384,14 @@ impl Estimator {
     /// The bytes are not such a snapshot, or have another layout.
     pub fn restore(options: PositioningOptions, snapshot: &[u8]) -> Result<Self, SnapshotError> {
         EstimatorState::restore(options, snapshot).map(Self::of)
+    }
+
+    /// The same with the options of this estimator.
+    ///
+    /// # Errors
+    /// The bytes are not such a snapshot, or have another layout.
+    pub fn restored(&self, snapshot: &[u8]) -> Result<Self, SnapshotError> {
+        EstimatorState::opened(&PreparedOptions(self.state.setup.clone()), snapshot).map(Self::of)
     }
 }
 

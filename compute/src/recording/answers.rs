@@ -5,6 +5,10 @@ use std::collections::VecDeque;
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, Reason, Solution};
 use crate::positioning::{Aiding, Batch, Estimator};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, snapshot_fields};
+
+/// Layout of a solver's snapshots, around those of estimators. Raise it when their content changes.
+const LAYOUT: u16 = 1;
 
 /// The kind of an answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -54,6 +58,8 @@ struct Repetition {
     behind_s: f64,
 }
 
+snapshot_fields!(Repetition { of, behind_s });
+
 enum AnyEstimator {
     /// Answers at once, or when epochs leave the window.
     Window(AnswerKind, Box<Estimator>),
@@ -95,6 +101,39 @@ impl Solver {
                 Vec::new()
             }
         }
+    }
+
+    /// The state between two epochs as bytes; `None` if all answers come at the end.
+    pub fn snapshot(&self) -> Option<Vec<u8>> {
+        let Self { estimator: AnyEstimator::Window(_, estimator), last, answer, repetitions } =
+            self
+        else {
+            return None;
+        };
+        let mut writer = SnapshotWriter::new(LAYOUT);
+        last.save(&mut writer);
+        answer.save(&mut writer);
+        repetitions.save(&mut writer);
+        writer.bytes(&estimator.snapshot());
+        Some(writer.finish())
+    }
+
+    /// The solver of a [`Self::snapshot`] by one of the same options and kind of answer. It goes on
+    /// with the same bits.
+    ///
+    /// # Errors
+    /// The bytes are not such a snapshot, or have another layout.
+    pub fn restored(&self, snapshot: &[u8]) -> Result<Self, SnapshotError> {
+        let mut reader = SnapshotReader::open(snapshot, LAYOUT)?;
+        let AnyEstimator::Window(kind, estimator) = &self.estimator else {
+            return Err(reader.invalid("kind of answer"));
+        };
+        let (last, answer) = (Snapshot::load(&mut reader)?, Snapshot::load(&mut reader)?);
+        let repetitions = Snapshot::load(&mut reader)?;
+        let estimator = estimator.restored(reader.bytes()?)?;
+        reader.finish()?;
+        let estimator = AnyEstimator::Window(*kind, Box::new(estimator));
+        Ok(Self { estimator, last, answer, repetitions })
     }
 
     /// The answers due at the end.

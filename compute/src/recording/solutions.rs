@@ -4,8 +4,12 @@ use std::collections::VecDeque;
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Epoch, GpsTime, LeapSeconds, Solution};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 
 use super::{AnswerKind, Provenance, Recording, RecordingError, RecordingInputs, Solver};
+
+/// Layout of checkpoints, around snapshots of solvers. Raise it when their content changes.
+const LAYOUT: u16 = 1;
 
 /// The positions of a recording, in the order in which the estimator gives them: one for each epoch
 /// of the requested span.
@@ -41,7 +45,10 @@ pub struct Solutions<'a> {
     /// `None` after the last answer.
     solver: Option<Solver>,
     epoch: Epoch,
-    has_epochs: bool,
+    /// Number of epochs that are read.
+    epochs: u64,
+    /// Number of epochs before the checkpoint after which it goes on. They are read only.
+    positioned: u64,
     /// Answers that have not been returned yet.
     due: VecDeque<Solution>,
 }
@@ -63,7 +70,8 @@ impl<'a> Solutions<'a> {
             recording: Recording::open(inputs)?,
             solver: Some(Solver::new(options, answer)),
             epoch: Epoch::new(GpsTime::EPOCH),
-            has_epochs: false,
+            epochs: 0,
+            positioned: 0,
             due: VecDeque::new(),
         })
     }
@@ -76,6 +84,33 @@ impl<'a> Solutions<'a> {
     /// The provenance of the positions so far.
     pub fn provenance(&self) -> Provenance {
         self.recording.provenance()
+    }
+
+    /// What [`Self::resume`] needs to go on after the last epoch: the number of epochs and the
+    /// state of the estimator. `None` if all answers come at the end.
+    pub fn checkpoint(&self) -> Option<Vec<u8>> {
+        let mut writer = SnapshotWriter::new(LAYOUT);
+        self.epochs.max(self.positioned).save(&mut writer);
+        writer.bytes(&self.solver.as_ref()?.snapshot()?);
+        Some(writer.finish())
+    }
+
+    /// Goes on after a checkpoint of the same inputs, options and kind of answer, with the same
+    /// bits. The epochs before it are read again, and have no answers. Call it before the first
+    /// epoch.
+    ///
+    /// # Errors
+    /// The bytes are no such checkpoint, or have another layout. Nothing has changed then.
+    pub fn resume(&mut self, checkpoint: &[u8]) -> Result<(), SnapshotError> {
+        let mut reader = SnapshotReader::open(checkpoint, LAYOUT)?;
+        let positioned = u64::load(&mut reader)?;
+        let snapshot = reader.bytes()?;
+        reader.finish()?;
+        if let Some(solver) = &mut self.solver {
+            *solver = solver.restored(snapshot)?;
+            self.positioned = positioned;
+        }
+        Ok(())
     }
 
     /// Positions the next epoch, or at the end gives the estimator's remaining answers. Appends
@@ -95,12 +130,14 @@ impl<'a> Solutions<'a> {
     fn advance(&mut self) -> Result<(), RecordingError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if self.recording.read_epoch(&mut self.epoch)? {
-            self.has_epochs = true;
-            self.due.extend(solver.advance(&self.epoch, &self.recording.aiding()));
+            self.epochs += 1;
+            if self.positioned < self.epochs {
+                self.due.extend(solver.advance(&self.epoch, &self.recording.aiding()));
+            }
             return Ok(());
         }
         self.due.extend(self.solver.take().map(Solver::finish).unwrap_or_default());
-        if !self.has_epochs {
+        if self.epochs == 0 {
             return Err(RecordingError::NoEpochs { name: self.inputs.rover.name().to_owned() });
         }
         Ok(())
@@ -164,6 +201,17 @@ mod tests {
         }
     }
 
+    /// The same with the eighth epoch written twice, and the fourth once more after it.
+    fn twice_written(inputs: &RecordingInputs) -> RecordingInputs {
+        let mut text = String::new();
+        inputs.rover.open().unwrap().read_to_string(&mut text).unwrap();
+        let starts: Vec<usize> = text.match_indices("\n>").map(|(at, _)| at + 1).collect();
+        let epoch = |index: usize| &text[starts[index]..starts[index + 1]];
+        let disturbed = [&text[..starts[8]], epoch(7), epoch(3), &text[starts[8]..]].concat();
+        let rover = Input::from_bytes("rover".to_owned(), disturbed.into_bytes().into());
+        RecordingInputs { rover, ..simulated() }
+    }
+
     /// With every kind of answer, each epoch has one, in the order of time.
     #[test]
     fn each_epoch_is_answered_once() {
@@ -181,14 +229,7 @@ mod tests {
     #[test]
     fn epochs_not_after_the_last_one_repeat_its_answer() {
         let inputs = simulated();
-        let mut reader = inputs.rover.open().unwrap();
-        let mut text = String::new();
-        reader.read_to_string(&mut text).unwrap();
-        let starts: Vec<usize> = text.match_indices("\n>").map(|(at, _)| at + 1).collect();
-        let epoch = |index: usize| &text[starts[index]..starts[index + 1]];
-        let disturbed = [&text[..starts[8]], epoch(7), epoch(3), &text[starts[8]..]].concat();
-        let rover = Input::from_bytes("rover".to_owned(), disturbed.into_bytes().into());
-        let again = RecordingInputs { rover, ..simulated() };
+        let again = twice_written(&inputs);
         for answer in [AnswerKind::Causal, AnswerKind::FixedLag, AnswerKind::Batch] {
             let all = |inputs: &RecordingInputs| -> Vec<Solution> {
                 let solutions = Solutions::open(inputs, options(Mode::Fgo), answer).unwrap();
@@ -202,6 +243,50 @@ mod tests {
                 expected.reasons.push(Reason::EpochRepeated { behind_s });
                 assert_eq!(solution, expected, "{answer:?}");
             }
+        }
+    }
+
+    /// Wherever a recording is cut off, the answers before the checkpoint and those after it are
+    /// the answers of a recording that is not; also with epochs that are written twice.
+    #[test]
+    fn a_checkpoint_goes_on_with_the_same_bits() {
+        let inputs = twice_written(&simulated());
+        for (mode, answer) in [
+            (Mode::Spp, AnswerKind::Causal),
+            (Mode::RtkEkf, AnswerKind::Causal),
+            (Mode::RtkFgo, AnswerKind::Causal),
+            (Mode::RtkFgo, AnswerKind::FixedLag),
+        ] {
+            let open = || Solutions::open(&inputs, options(mode), answer).unwrap();
+            let whole: Vec<Solution> = open().map(Result::unwrap).collect();
+            for cut in [0, 1, 7, 9, 15, 21, 22] {
+                let (mut first, mut answers) = (open(), Vec::new());
+                for _ in 0..cut {
+                    assert!(first.step(&mut answers).unwrap());
+                }
+                let (mut second, checkpoint) = (open(), first.checkpoint().unwrap());
+                second.resume(&checkpoint).unwrap();
+                assert_eq!(second.checkpoint().unwrap(), checkpoint);
+                while second.step(&mut answers).unwrap() {}
+                assert_eq!(answers, whole, "{mode:?} {answer:?} {cut}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_no_checkpoint_changes_nothing() {
+        let inputs = simulated();
+        let open = |mode, answer| Solutions::open(&inputs, options(mode), answer).unwrap();
+        assert_eq!(open(Mode::Fgo, AnswerKind::Batch).checkpoint(), None);
+        let other = open(Mode::RtkFgo, AnswerKind::Causal).checkpoint().unwrap();
+        for answer in [AnswerKind::Causal, AnswerKind::Batch] {
+            let mut solutions = open(Mode::Fgo, answer);
+            let before = solutions.checkpoint();
+            for wrong in [&other[..], &other[..other.len() - 1], b""] {
+                assert!(solutions.resume(wrong).is_err(), "{answer:?}");
+            }
+            assert_eq!(solutions.checkpoint(), before);
+            assert_eq!(solutions.filter(Result::is_ok).count(), EPOCHS);
         }
     }
 

@@ -50,6 +50,11 @@ impl SnapshotWriter {
         self.bytes.extend_from_slice(bytes);
     }
 
+    /// Number of bytes so far.
+    pub const fn size(&self) -> usize {
+        self.bytes.len()
+    }
+
     /// The snapshot.
     pub fn finish(self) -> Vec<u8> {
         seal(self.bytes)
