@@ -269,7 +269,11 @@ impl Replay {
         Ok(PageBases::Selected(Arc::new(source)))
     }
 
-    async fn configuration(&self, hash: &Arc<str>) -> Result<Arc<Configuration>, SessionError> {
+    /// The configuration with which epochs of a stored one are computed.
+    pub(super) async fn configuration(
+        &self,
+        hash: &Arc<str>,
+    ) -> Result<Arc<Configuration>, SessionError> {
         match &self.with {
             ReplayWith::Options(active) => Ok(Arc::new(active.estimation.clone())),
             ReplayWith::Stored => self.stored_configuration(hash).await,

@@ -15,6 +15,7 @@ use crate::aiding::{AidingDesk, rover_source};
 use crate::gnss::{GpsTime, LeapSeconds, Navigation, Solution};
 use crate::positioning::{PreparedOptions, Scratch};
 use crate::recording::{AnswerKind, BaseRecording, RecordingError};
+use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, seal};
 use crate::store::{SessionRow, Store, StoredEpoch, StoredSolution};
 use crate::tenant::Tenant;
 
@@ -28,6 +29,9 @@ use super::{SessionError, SessionId, SessionLimits};
 use plan::session;
 pub use plan::{RerunPlan, RerunRequest};
 use whole::WholeSession;
+
+/// Layout of checkpoints, around a state. Raise it when their content changes.
+const LAYOUT: u16 = 1;
 
 /// A stored session that is positioned again.
 pub struct Rerun<'a> {
@@ -45,6 +49,9 @@ pub struct Rerun<'a> {
     after: Option<u64>,
     /// Number of the last epoch that is positioned.
     passed: Option<u64>,
+    /// Number of the last epoch before the checkpoint after which it goes on. Epochs up to it are
+    /// read only.
+    positioned: Option<u64>,
     /// Number of the last epoch that was removed before it was read.
     removed_through: Option<u64>,
 }
@@ -119,6 +126,7 @@ impl<'a> Rerun<'a> {
             steps: Vec::new().into_iter(),
             after,
             passed: None,
+            positioned: None,
             removed_through: after.filter(|_| before < after),
         })
     }
@@ -200,6 +208,9 @@ impl<'a> Rerun<'a> {
             step.base = StepBase::Given(BaseInput::not_stored(base.aiding()));
         }
         self.passed = Some(step.seq);
+        if self.passed <= self.positioned {
+            return Ok(true);
+        }
         match &mut self.estimating {
             Estimating::Whole(whole) => due.extend(whole.push(step)),
             Estimating::Session { state, revision, above } => {
@@ -214,6 +225,42 @@ impl<'a> Rerun<'a> {
         Ok(true)
     }
 
+    /// What [`Self::resume`] needs to go on after the last epoch: its number and the state of the
+    /// estimator. `None` before the first one, and if all answers come at the end.
+    pub fn checkpoint(&self) -> Option<Vec<u8>> {
+        let Estimating::Session { state, .. } = &self.estimating else { return None };
+        let (seq, content) = state.unsealed(Vec::new())?;
+        let mut writer = SnapshotWriter::new(LAYOUT);
+        seq.save(&mut writer);
+        state.configuration_hash.to_string().save(&mut writer);
+        writer.bytes(&seal(content));
+        Some(writer.finish())
+    }
+
+    /// Goes on after a checkpoint of the same plan, with the same bits. The epochs before it are
+    /// read again, and have no answers. Call it before the first epoch. The result within says
+    /// whether this program can read it.
+    ///
+    /// # Errors
+    /// The options of its state are no longer stored, or the store fails.
+    pub async fn resume(
+        &mut self,
+        checkpoint: &[u8],
+    ) -> Result<Result<(), SnapshotError>, SessionError> {
+        let (seq, hash, content) = match read_checkpoint(checkpoint) {
+            Ok(read) => read,
+            Err(error) => return Ok(Err(error)),
+        };
+        let configuration = self.replay.configuration(&hash.into()).await?;
+        let Estimating::Session { state, .. } = &mut self.estimating else {
+            unreachable!("answers that all come at the end have no checkpoint");
+        };
+        Ok(State::decode(seq, content, &configuration).map(|decoded| {
+            **state = decoded;
+            self.positioned = Some(seq);
+        }))
+    }
+
     /// Appends the answers that are due after the last epoch.
     pub fn finish(&mut self, due: &mut Vec<Solution>) {
         match &mut self.estimating {
@@ -224,6 +271,15 @@ impl<'a> Rerun<'a> {
             }
         }
     }
+}
+
+/// The number of an epoch, the hash of the configuration and the state of a checkpoint.
+fn read_checkpoint(checkpoint: &[u8]) -> Result<(u64, String, &[u8]), SnapshotError> {
+    let mut reader = SnapshotReader::open(checkpoint, LAYOUT)?;
+    let (seq, hash) = (Snapshot::load(&mut reader)?, Snapshot::load(&mut reader)?);
+    let content = reader.bytes()?;
+    reader.finish()?;
+    Ok((seq, hash, content))
 }
 
 /// The solutions of a revision, of epochs above a number.
