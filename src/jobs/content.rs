@@ -1,19 +1,23 @@
-//! What is read of the files of jobs: inputs by a run, results by users.
+//! The content of the files of jobs: inputs and checkpoints for a run, results for users.
 //!
 //! An input of a bucket is fetched to a file without a name, and checked by its hash, before a run
-//! reads it. A result of a bucket is passed on as it comes.
+//! reads it. A result of a bucket is passed on as it comes. A checkpoint is in memory as a whole.
 
-use std::fs::File;
-use std::io;
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
+use std::path::PathBuf;
+use std::sync::Arc;
 
 use bytes::Bytes;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+use uuid::Uuid;
 
 use super::JobError;
-use super::bucket::{Bucket, BucketError, Patience};
-use super::files::{INPUTS, JobFiles, RESULTS};
+use super::bucket::{Bucket, BucketError, Listed, Patience};
+use super::files::{CHECKPOINTS, INPUTS, JobFiles, RESULTS, sync};
+use super::named::checkpoint_name;
 
 /// Chunks between the bucket and who takes them.
 const CHUNKS: usize = 4;
@@ -75,6 +79,116 @@ impl JobFiles {
             return Err(BucketError::Damaged { name, why }.into());
         }
         Ok(file)
+    }
+
+    /// The content of a checkpoint, if there is one of this name.
+    ///
+    /// # Errors
+    /// The disk or the bucket fails.
+    pub(super) async fn checkpoint(&self, name: &str) -> Result<Option<Vec<u8>>, JobError> {
+        let Some(bucket) = self.bucket() else {
+            return match fs::read(self.in_checkpoints(name)) {
+                Ok(content) => Ok(Some(content)),
+                Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+                Err(error) => Err(JobError::disk("reading a checkpoint")(error)),
+            };
+        };
+        let name = format!("{CHECKPOINTS}/{name}");
+        let Some(bytes) = bucket.size(&name).await? else { return Ok(None) };
+        let (sender, mut chunks) = mpsc::channel(CHUNKS);
+        let downloading = async {
+            let downloaded = bucket.download((&name, bytes), Patience::Call, &sender).await;
+            drop(sender);
+            downloaded
+        };
+        let collecting = async {
+            let mut content = Vec::new();
+            while let Some(chunk) = chunks.recv().await {
+                content.extend_from_slice(&chunk);
+            }
+            content
+        };
+        let (downloaded, content) = tokio::join!(downloading, collecting);
+        match downloaded {
+            Ok(()) => Ok(Some(content)),
+            Err(BucketError::Missing { .. }) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// Stores a checkpoint, in place of any other of this name. It is durable when this returns.
+    ///
+    /// # Errors
+    /// The space of all files is used up, or the disk or the bucket fails.
+    pub(super) async fn store_checkpoint(
+        &self,
+        name: &str,
+        content: &[u8],
+    ) -> Result<(), JobError> {
+        let bytes = content.len() as u64;
+        self.reserve(bytes)?;
+        let stored = match self.bucket() {
+            None => self.write_checkpoint(name, content),
+            Some(bucket) => {
+                let written = self.nameless().and_then(|mut file| {
+                    file.write_all(content)?;
+                    Ok(Arc::new(file))
+                });
+                let file = written.map_err(JobError::disk("writing a checkpoint"))?;
+                let name = format!("{CHECKPOINTS}/{name}");
+                bucket.put(&name, (file, bytes), Patience::Call).await.map_err(JobError::from)
+            }
+        };
+        stored.inspect_err(|_| self.release(bytes))
+    }
+
+    /// Writes a checkpoint to the folder: what has its name is whole.
+    fn write_checkpoint(&self, name: &str, content: &[u8]) -> Result<(), JobError> {
+        let path = self.in_checkpoints(name);
+        let before = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+        let begun = self.arriving(&Uuid::new_v4().simple().to_string());
+        let written = File::create_new(&begun)
+            .and_then(|mut file| {
+                file.write_all(content)?;
+                file.sync_all()
+            })
+            .and_then(|()| fs::rename(&begun, &path))
+            .and_then(|()| sync(&self.in_checkpoints("")));
+        // Err: it has its name, or was not begun.
+        fs::remove_file(begun).ok();
+        written.map_err(JobError::disk("writing a checkpoint"))?;
+        self.release(before);
+        Ok(())
+    }
+
+    /// Removes the checkpoints of a job. What cannot be removed is removed once it is old.
+    pub(super) async fn remove_checkpoints(&self, job: &str) {
+        let Some(bucket) = self.bucket() else {
+            for part in 0.. {
+                let path = self.in_checkpoints(&checkpoint_name(job, part));
+                let Ok(metadata) = fs::metadata(&path) else { return };
+                if fs::remove_file(path).is_ok() {
+                    self.release(metadata.len());
+                }
+            }
+            return;
+        };
+        let (begin, mut token) = (format!("{CHECKPOINTS}/{job}-"), None);
+        while let Ok((page, next)) = bucket.page(&begin, token).await {
+            for Listed { name, bytes, .. } in page {
+                if bucket.delete(&name).await.is_ok() {
+                    self.release(bytes);
+                }
+            }
+            token = next;
+            if token.is_none() {
+                return;
+            }
+        }
+    }
+
+    fn in_checkpoints(&self, name: &str) -> PathBuf {
+        self.folder().join(CHECKPOINTS).join(name)
     }
 
     /// Opens a result of this size. Its first bytes are there when this returns.

@@ -2,9 +2,10 @@
 //!
 //! They are in the folder of jobs, or in a bucket under the same names.
 //!
-//! The folder has three: `incoming` for uploads that arrive, `inputs`, and `results`. Names in
-//! `inputs` and `results` stand in the store. What does not is removed once it is old, and at the
-//! start of a service that is alone. Other processes may write there, so the bytes of all files are
+//! The folder has four: `incoming` for uploads that arrive, `inputs`, `results`, and `checkpoints`
+//! of runs. Names in `inputs` and `results` stand in the store, those in `checkpoints` begin with a
+//! job that does. What does not is removed once it is old, and at the start of a service that is
+//! alone. Other processes may write there, so the bytes of all files are
 //! counted again at an interval. The file `folder.id` identifies the folder. Each node of a cluster
 //! has a file there (`shared`).
 //!
@@ -33,6 +34,7 @@ use super::named::{Named, result_name};
 const INCOMING: &str = "incoming";
 pub(super) const INPUTS: &str = "inputs";
 pub(super) const RESULTS: &str = "results";
+pub(super) const CHECKPOINTS: &str = "checkpoints";
 const FOLDER_ID: &str = "folder.id";
 /// A file that arrives is written to at least this often.
 const ARRIVES_FOR: Duration = Duration::from_secs(3600);
@@ -40,9 +42,12 @@ const ARRIVES_FOR: Duration = Duration::from_secs(3600);
 const LOST_RESULTS: i64 = 16;
 /// A file that no job names is removed once it is this old: its job may be about to be stored.
 const UNNAMED_FOR: Duration = Duration::from_secs(600);
-const FOLDERS: [&str; 3] = [INCOMING, INPUTS, RESULTS];
+const FOLDERS: [&str; 4] = [INCOMING, INPUTS, RESULTS, CHECKPOINTS];
+/// Those that are in a bucket, if there is one.
+const IN_BUCKET: [&str; 3] = [INPUTS, RESULTS, CHECKPOINTS];
 /// Ages from which files that no job names are removed, by folder.
-const AGES: [Duration; 3] = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR];
+type Ages = [Duration; FOLDERS.len()];
+const AGES: Ages = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR, UNNAMED_FOR];
 /// The same in a bucket: its clock and that of a client may differ by a quarter of an hour.
 const UNNAMED_IN_BUCKET_FOR: Duration = Duration::from_secs(1800);
 
@@ -93,7 +98,7 @@ impl JobFiles {
             None => identified(&folder).map_err(JobError::disk("opening the folder of jobs"))?,
         };
         let files = Self::of(folder, bucket, id, limits).await?;
-        let ages = if is_alone { [Duration::ZERO; 3] } else { AGES };
+        let ages = if is_alone { [Duration::ZERO; FOLDERS.len()] } else { AGES };
         files.remove_unnamed(named, ages).await?;
         Ok(files)
     }
@@ -169,7 +174,7 @@ impl JobFiles {
         let mut bytes = self.counted_in_folder().map_err(JobError::disk("counting files"))?;
         if let Some(bucket) = &self.bucket {
             bytes += self.writing.load(Ordering::Acquire);
-            for inside in [INPUTS, RESULTS] {
+            for inside in IN_BUCKET {
                 let mut token = None;
                 loop {
                     let (page, next) = bucket.page(&format!("{inside}/"), token).await?;
@@ -382,11 +387,11 @@ impl JobFiles {
     }
 
     /// Removes files that no job names and that are as old, by folder.
-    async fn remove_unnamed(&self, named: &Named, ages: [Duration; 3]) -> Result<(), JobError> {
+    async fn remove_unnamed(&self, named: &Named, ages: Ages) -> Result<(), JobError> {
         let removed = self.remove_from_folder(named, ages);
         removed.map_err(JobError::disk("removing files of expired jobs"))?;
         let Some(bucket) = &self.bucket else { return Ok(()) };
-        for inside in [INPUTS, RESULTS] {
+        for inside in IN_BUCKET {
             let (begin, mut token) = (format!("{inside}/"), None);
             loop {
                 let (page, next) = bucket.page(&begin, token).await?;
@@ -408,7 +413,7 @@ impl JobFiles {
     }
 
     /// The same in the folder.
-    fn remove_from_folder(&self, named: &Named, ages: [Duration; 3]) -> io::Result<()> {
+    fn remove_from_folder(&self, named: &Named, ages: Ages) -> io::Result<()> {
         for (inside, age) in local(self.bucket.as_deref()).iter().zip(ages) {
             for entry in fs::read_dir(self.folder.join(inside))? {
                 let entry = entry?;
@@ -506,7 +511,7 @@ mod tests {
     }
 
     fn count(folder: &Path) -> usize {
-        let inside = [INCOMING, INPUTS, RESULTS].map(|name| fs::read_dir(folder.join(name)));
+        let inside = FOLDERS.map(|name| fs::read_dir(folder.join(name)));
         inside.into_iter().map(|entries| entries.unwrap().count()).sum()
     }
 
@@ -541,7 +546,7 @@ mod tests {
         files.count().await.unwrap();
         assert_eq!(files.used.load(Ordering::Acquire), 30);
         let named = Named::of(["job_c.1".to_owned()], [("job_a".to_owned(), 2)]);
-        files.remove_unnamed(&named, [Duration::from_nanos(1); 3]).await.unwrap();
+        files.remove_unnamed(&named, [Duration::from_nanos(1); FOLDERS.len()]).await.unwrap();
         let stays = |name: &&str| files.result(name).exists();
         let kept: Vec<_> = names.into_iter().filter(stays).collect();
         assert_eq!(kept, ["job_a.2", "job_a.3", "job_c.1"]);
@@ -574,7 +579,7 @@ mod tests {
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
         let names = Named::of([named.clone()], []);
-        let young = [Duration::from_nanos(1); 3];
+        let young = [Duration::from_nanos(1); FOLDERS.len()];
         files.remove_unnamed(&names, young).await.unwrap();
         assert_eq!(count(folder.path()), 2);
         drop(held);

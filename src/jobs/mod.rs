@@ -19,11 +19,13 @@
 //! - **A bucket** of an S3 service can have the files in place of the folder.
 //! - **Nodes of a cluster** share the folder or the bucket. Each takes, runs and answers jobs; the
 //!   one that leads fetches, and removes what has expired.
-//! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. They
-//!   are computed again from the beginning.
+//! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. The
+//!   next run goes on after the last **checkpoint**, with the same bits. A batch, which is answered
+//!   as a whole, is computed again from the beginning.
 
 mod arriving;
 mod bucket;
+mod checkpoints;
 mod content;
 mod deliveries;
 mod desk;

@@ -49,17 +49,25 @@ impl Named {
         Self { files: files.into(), fences: fences.into() }
     }
 
-    /// Whether a job names the file, or its last claim, or a later one, writes it.
+    /// Whether a job names the file, or its last claim, or a later one, writes it, or it is a
+    /// checkpoint of a job that has not ended.
     pub(super) fn has(&self, file: &str) -> bool {
         let writes = || {
             let (job, fence) = file.rsplit_once('.')?;
             Some(*self.fences.get(job)? <= fence.parse().ok()?)
         };
-        self.files.contains(file) || writes().unwrap_or(false)
+        let has_job = |(job, _): (&str, &str)| self.fences.contains_key(job);
+        let continues = || file.rsplit_once('-').is_some_and(has_job);
+        self.files.contains(file) || writes().unwrap_or(false) || continues()
     }
 }
 
 /// Name of the file of a result that a claim writes.
 pub(super) fn result_name(job: &str, fence: i64) -> String {
     format!("{job}.{fence}")
+}
+
+/// Name of a part of a job's checkpoints.
+pub(super) fn checkpoint_name(job: &str, part: u64) -> String {
+    format!("{job}-{part}")
 }

@@ -92,6 +92,9 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
         }
     };
     let is_ended = end_claim(desk, (&id, claim), &end, &running).await;
+    if let (Some(true), Ok(files)) = (is_ended, desk.files()) {
+        files.remove_checkpoints(&id).await;
+    }
     // Whoever has ended the job before does not name this file. If nobody knows, it is removed once
     // it is old.
     if let (Some(false), Some(bytes), Ok(files)) = (is_ended, bytes, desk.files()) {
@@ -135,7 +138,7 @@ async fn prepared(
     running: &Arc<Running>,
     result: String,
 ) -> Result<Run, Failure> {
-    let tenant = row.tenant.clone();
+    let (tenant, job) = (row.tenant.clone(), row.id.clone());
     let request = JobInfo::of(row).map_err(|error| failed(&error.into()))?.request;
     let stored = match &request.options.session {
         None => None,
@@ -154,8 +157,10 @@ async fn prepared(
         geoid: desk.geoid.clone(),
         tenant,
         running: running.clone(),
+        job,
         result,
         longest: Duration::from_secs(desk.limits.run_s),
+        checkpoint_interval: Duration::from_secs(desk.limits.checkpoint_s),
         unpacked_bytes: desk.limits.unpacked_bytes,
     })
 }

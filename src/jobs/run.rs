@@ -11,13 +11,16 @@ use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
 use crate::clock::Stopwatch;
-use crate::gnss::{Geoid, LeapSeconds};
-use crate::recording::{Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of};
+use crate::gnss::{Geoid, LeapSeconds, Solution};
+use crate::recording::{
+    AnswerKind, Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
+};
 use crate::refusal::Code;
 use crate::session::{BATCH_QUANTUM, BatchLane, BatchTurn, Rerun, RerunRequest, SessionId};
 use crate::store::{JobProgress, Store};
 use crate::tenant::Tenant;
 
+use super::checkpoints::{Checkpoints, Found};
 use super::fetching::unless_stopped;
 use super::files::JobFiles;
 use super::request::{JobInput, JobRequest, Part, Plan};
@@ -28,6 +31,8 @@ use super::{Failure, JobError, Report};
 
 /// Interval at which a run that waits for a turn looks whether it is stopped.
 const LOOK: Duration = Duration::from_secs(1);
+/// Answers of a run before that are written in a turn: some milliseconds.
+const ANSWERS_PER_TURN: usize = 512;
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
 
 type ResultWriter = SolutionWriter<BufWriter<File>>;
@@ -47,10 +52,14 @@ pub(super) struct Run {
     pub(super) running: Arc<Running>,
     /// The operator's table of the geoid.
     pub(super) geoid: Option<Arc<Geoid>>,
+    /// The id of the job.
+    pub(super) job: String,
     /// Name of the result's file.
     pub(super) result: String,
     /// Longest time that it may take.
     pub(super) longest: Duration,
+    /// Time between two checkpoints.
+    pub(super) checkpoint_interval: Duration,
     /// Largest size of an input, unpacked (bytes).
     pub(super) unpacked_bytes: u64,
 }
@@ -59,6 +68,16 @@ pub(super) struct Run {
 pub(super) struct Done {
     pub(super) bytes: u64,
     pub(super) report: Report,
+}
+
+/// The answers of a run.
+struct Output {
+    writer: ResultWriter,
+    tally: Tally,
+    /// `None` if no more is written of them.
+    checkpoints: Option<Checkpoints>,
+    /// Time that the runs before have taken (s).
+    seconds_before: f64,
 }
 
 /// Why a run has none.
@@ -93,8 +112,7 @@ impl Run {
         let mut opened = HashMap::new();
         for input in &self.request.inputs {
             let opening = self.files.open_input(&input.hash, input.bytes);
-            let done = runtime.block_on(unless_stopped(&self.running, opening));
-            let file = done.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?;
+            let file = self.awaited(runtime, opening)?;
             opened.insert(input.hash.clone(), Arc::new(file));
         }
         Ok(opened)
@@ -135,26 +153,129 @@ impl Run {
         (runtime, began, used): (&Handle, Instant, &Stopwatch),
         space: &mut Space<'_>,
     ) -> Result<Done, Ended> {
-        let mut writer = self.writer(source.leap_seconds())?;
-        let mut tally = Tally::default();
-        while source.read(runtime)? {
-            let turn = self.turn(runtime, began)?;
-            let advanced = quantum(&mut source, &mut writer, &mut tally);
-            drop(turn);
-            self.running.set_cpu(used.elapsed());
-            advanced?;
-            space.grow_to(writer.bytes())?;
-            let (epochs, answered, read_bytes) = (tally.epochs, tally.answered, source.passed());
-            self.running.set_progress(JobProgress { epochs, answered, read_bytes });
+        let mut output = Output {
+            writer: self.writer(source.leap_seconds())?,
+            tally: Tally::default(),
+            checkpoints: self.has_checkpoints().then(|| self.checkpoints()),
+            seconds_before: 0.0,
+        };
+        self.resume((&mut source, &mut output), (runtime, began), space)?;
+        let kept = output.tally.epochs;
+        let positioned = loop {
+            match self.advance((&mut source, &mut output), (runtime, began, used), space) {
+                Ok(true) => {}
+                Ok(false) => break Ok(()),
+                Err(ended) => break Err(ended),
+            }
+            if output.checkpoints.as_ref().is_some_and(Checkpoints::is_due) {
+                self.leave_checkpoint((&source, &mut output), (runtime, began));
+            }
+        };
+        if matches!(positioned, Err(Ended::Stopped)) {
+            self.leave_checkpoint((&source, &mut output), (runtime, began));
         }
+        positioned?;
+        let Output { writer, tally, seconds_before, .. } = output;
         let bytes = self.stored(runtime, writer)?;
         space.grow_to(bytes)?;
         self.check(began)?;
-        let (hash, seconds) =
-            (self.plan.options.configuration_hash(), began.elapsed().as_secs_f64());
+        let seconds = seconds_before + began.elapsed().as_secs_f64();
+        let hash = self.plan.options.configuration_hash();
         let mut report = Report::of(&tally, &source.provenance(), hash, seconds);
         report.provenance.extend(source.remarks());
+        if 0 < kept {
+            let line = format!("the first {kept} answers are those of a run that was cut off");
+            report.provenance.push(line);
+        }
         Ok(Done { bytes, report })
+    }
+
+    /// Positions epochs for a turn. Returns whether there may be more.
+    fn advance(
+        &self,
+        (source, output): (&mut impl Source, &mut Output),
+        (runtime, began, used): (&Handle, Instant, &Stopwatch),
+        space: &mut Space<'_>,
+    ) -> Result<bool, Ended> {
+        if !source.read(runtime)? {
+            return Ok(false);
+        }
+        let turn = self.turn(runtime, began)?;
+        let advanced = quantum(source, output);
+        drop(turn);
+        self.running.set_cpu(used.elapsed());
+        advanced?;
+        space.grow_to(output.writer.bytes())?;
+        let Tally { epochs, answered, .. } = output.tally;
+        let read_bytes = source.passed();
+        self.running.set_progress(JobProgress { epochs, answered, read_bytes });
+        Ok(true)
+    }
+
+    /// A batch is answered as a whole.
+    fn has_checkpoints(&self) -> bool {
+        self.plan.answer != AnswerKind::Batch
+    }
+
+    fn checkpoints(&self) -> Checkpoints {
+        Checkpoints::new(self.job.clone(), self.checkpoint_interval)
+    }
+
+    /// Goes on where an earlier run of the job was cut off, if it has left checkpoints.
+    fn resume(
+        &self,
+        (source, output): (&mut impl Source, &mut Output),
+        (runtime, began): (&Handle, Instant),
+        space: &mut Space<'_>,
+    ) -> Result<(), Ended> {
+        let Some(mut chain) = self.has_checkpoints().then(|| self.checkpoints()) else {
+            return Ok(());
+        };
+        let found = self.awaited(runtime, chain.found(&self.files))?;
+        let Some(Found { parts, state, seconds }) = found else { return Ok(()) };
+        if !source.resume(&state, runtime)? {
+            return Ok(());
+        }
+        for _ in 0..parts {
+            let answers = self.awaited(runtime, chain.take(&self.files))?;
+            // Another process has changed it: the job is claimed again.
+            let answers = answers.ok_or(Ended::Stopped)?;
+            for some in answers.chunks(ANSWERS_PER_TURN) {
+                let turn = self.turn(runtime, began)?;
+                some.iter().try_for_each(|answer| output.write(answer))?;
+                drop(turn);
+                space.grow_to(output.writer.bytes())?;
+            }
+        }
+        (output.checkpoints, output.seconds_before) = (Some(chain), seconds);
+        Ok(())
+    }
+
+    /// Waits for the files, unless the run is stopped.
+    fn awaited<T>(
+        &self,
+        runtime: &Handle,
+        work: impl Future<Output = Result<T, JobError>>,
+    ) -> Result<T, Ended> {
+        let done = runtime.block_on(unless_stopped(&self.running, work));
+        Ok(done.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?)
+    }
+
+    /// Leaves a checkpoint for the next run. Without it that run computes more again.
+    fn leave_checkpoint(
+        &self,
+        (source, output): (&impl Source, &mut Output),
+        (runtime, began): (&Handle, Instant),
+    ) {
+        let Some(mut checkpoints) = output.checkpoints.take() else { return };
+        let Some(state) = source.checkpoint() else { return };
+        let seconds = output.seconds_before + began.elapsed().as_secs_f64();
+        match runtime.block_on(checkpoints.write(&self.files, (&state, seconds))) {
+            Ok(()) => output.checkpoints = Some(checkpoints),
+            Err(error) => {
+                tracing::warn!(%error, job = self.job, "a job has no checkpoints from here on");
+            }
+        }
     }
 
     /// Opens the session that stands in place of the rover's file.
@@ -203,9 +324,7 @@ impl Run {
         let (file, bytes) = writer.finish().map_err(|error| unwritable(&error))?;
         let file = file.into_inner().map_err(io::IntoInnerError::into_error);
         let file = file.map_err(|error| unwritable(&error))?;
-        let storing = self.files.finish_result(&self.result, (file, bytes));
-        let stored = runtime.block_on(unless_stopped(&self.running, storing));
-        stored.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?;
+        self.awaited(runtime, self.files.finish_result(&self.result, (file, bytes)))?;
         Ok(bytes)
     }
 
@@ -258,21 +377,28 @@ pub(super) fn failed(error: &JobError) -> Failure {
 }
 
 /// Positions epochs for the length of a turn, or until more must be read.
-fn quantum(
-    source: &mut impl Source,
-    writer: &mut ResultWriter,
-    tally: &mut Tally,
-) -> Result<(), Failure> {
+fn quantum(source: &mut impl Source, output: &mut Output) -> Result<(), Failure> {
     let begun = Instant::now();
     let (mut goes_on, mut due) = (true, Vec::new());
     while goes_on && begun.elapsed() < BATCH_QUANTUM {
         goes_on = source.step(&mut due)?;
         for solution in due.drain(..) {
-            let foreign = writer.write(&solution).map_err(|error| unwritable(&error))?;
-            tally.add(&solution, foreign);
+            output.write(&solution)?;
+            if let Some(checkpoints) = &mut output.checkpoints {
+                checkpoints.add(&solution);
+            }
         }
     }
     Ok(())
+}
+
+impl Output {
+    /// Writes and counts an answer.
+    fn write(&mut self, solution: &Solution) -> Result<(), Failure> {
+        let foreign = self.writer.write(solution).map_err(|error| unwritable(&error))?;
+        self.tally.add(solution, foreign);
+        Ok(())
+    }
 }
 
 fn unwritable(error: &io::Error) -> Failure {

@@ -7,6 +7,7 @@ use crate::formats::receiver::TimeReference;
 use crate::gnss::{LeapSeconds, Solution};
 use crate::recording::{AnswerKind, BaseRecording, Input, Provenance, Solutions};
 use crate::session::{Rerun, RerunRequest, SessionError, SessionId};
+use crate::snapshot::SnapshotError;
 
 use super::Failure;
 use super::request::{Plan, SessionInput};
@@ -29,6 +30,17 @@ pub(super) trait Source {
     /// # Errors
     /// A file cannot be read.
     fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, Failure>;
+
+    /// What [`Self::resume`] needs to go on after the last step; `None` before the first one, and
+    /// if all answers come at the end.
+    fn checkpoint(&self) -> Option<Vec<u8>>;
+
+    /// Goes on after a checkpoint of the same job: what was positioned before it is read again, and
+    /// has no answers. Returns false if this program cannot read it.
+    ///
+    /// # Errors
+    /// What it depends on cannot be read.
+    fn resume(&mut self, checkpoint: &[u8], runtime: &Handle) -> Result<bool, Failure>;
 
     /// Leap seconds of the navigation data.
     fn leap_seconds(&self) -> LeapSeconds;
@@ -73,6 +85,15 @@ impl Source for Files<'_> {
         Ok(self.has_more)
     }
 
+    fn checkpoint(&self) -> Option<Vec<u8>> {
+        self.solutions.checkpoint()
+    }
+
+    fn resume(&mut self, checkpoint: &[u8], _: &Handle) -> Result<bool, Failure> {
+        let resumed = self.solutions.resume(checkpoint);
+        Ok(resumed.inspect_err(unreadable).is_ok())
+    }
+
     fn leap_seconds(&self) -> LeapSeconds {
         self.solutions.leap_seconds()
     }
@@ -88,6 +109,10 @@ impl Source for Files<'_> {
     fn remarks(&self) -> Vec<String> {
         self.added.clone()
     }
+}
+
+fn unreadable(error: &SnapshotError) {
+    tracing::warn!(%error, "a job begins again, as its checkpoint cannot be read");
 }
 
 /// The stored epochs of a session.
@@ -157,6 +182,16 @@ impl Source for SessionEpochs<'_> {
             self.is_done = true;
         }
         Ok(false)
+    }
+
+    fn checkpoint(&self) -> Option<Vec<u8>> {
+        self.rerun.checkpoint()
+    }
+
+    fn resume(&mut self, checkpoint: &[u8], runtime: &Handle) -> Result<bool, Failure> {
+        let resumed = runtime.block_on(self.rerun.resume(checkpoint));
+        let resumed = resumed.map_err(|error| Failure::of_session(&error))?;
+        Ok(resumed.inspect_err(unreadable).is_ok())
     }
 
     fn leap_seconds(&self) -> LeapSeconds {

@@ -12,7 +12,9 @@ use graphfix::positioning::{Aiding, Batch};
 use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionUpdate, Sessions};
 use serde_json::{Value, json};
 
-use super::jobs::{all_turns, bytes_of, created, ended, post};
+use super::jobs::{
+    all_turns, bytes_of, created, ended, held_midway, kept_answers, post, restarted_midway,
+};
 use super::tenants::world::{Key, asked as asked_by, operator, sent, session};
 use crate::support::database::{Database, on_both_databases};
 use crate::support::doors::{Doors, code, epoch};
@@ -23,6 +25,7 @@ use crate::support::sessions::new_session;
 
 on_both_databases!(
     the_session_itself_gives_its_stored_solutions,
+    a_restart_changes_no_answer,
     another_mode_gives_what_a_session_of_it_has,
     a_base_gives_what_a_session_relative_to_it_has,
     a_deleted_session_fails_its_jobs,
@@ -75,10 +78,14 @@ async fn computed(doors: &Doors, content: Vec<u8>) -> (Vec<String>, Value) {
     let done = ended(doors, &job).await;
     assert_eq!(done["state"], "SUCCEEDED", "{done}");
     assert_eq!(done["progress"]["percent"], 100.0, "{done}");
-    let (_, result) = bytes_of(doors, &format!("/v1/jobs/{job}/result")).await;
     let (_, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
+    (rows_of(doors, &job).await, report)
+}
+
+async fn rows_of(doors: &Doors, job: &str) -> Vec<String> {
+    let (_, result) = bytes_of(doors, &format!("/v1/jobs/{job}/result")).await;
     let text = String::from_utf8(result).unwrap();
-    (text.lines().skip(1).map(ToOwned::to_owned).collect(), report)
+    text.lines().skip(1).map(ToOwned::to_owned).collect()
 }
 
 /// A session through other ephemerides, other options and a reset: its own options give the bits of
@@ -123,6 +130,31 @@ async fn the_session_itself_gives_its_stored_solutions(database: Database) {
     let (rows, report) = computed(&doors, asked(&span)).await;
     assert_eq!((rows.len(), &report["epochs"]), (160, &json!(160)), "{report}");
     assert_ne!(rows, stored(&doors, &id, "0").await[100..260]);
+    doors.close().await;
+}
+
+/// Jobs that the end of their service cuts off: the session with its own options and an arc, with
+/// another mode and smoothing, and with a base from a file.
+async fn a_restart_changes_no_answer(database: Database) {
+    let mut doors = Doors::on(&database.url).await;
+    given(&doors, &DRIVE.navigation).await;
+    let id = opened(&doors, "fgo", BaseChoice::None).await;
+    pushed(&doors, &id, &DRIVE.epochs[..200]).await;
+    sessions(&doors).reset(&id).await.unwrap();
+    pushed(&doors, &id, &DRIVE.epochs[200..]).await;
+    let own = json!({"session": id.to_string(), "format": "csv"});
+    let smoothed = json!({"session": id.to_string(), "mode": "fgo", "profile": "paper",
+        "smoothed": true, "format": "csv"});
+    for options in [own, smoothed] {
+        let (whole, _) = computed(&doors, asked(&options)).await;
+        let job = created(&doors, asked(&options)).await;
+        let (turns, _) = held_midway(&doors, &job).await;
+        doors = restarted_midway(doors, turns).await;
+        assert_eq!(ended(&doors, &job).await["state"], "SUCCEEDED");
+        let kept = kept_answers(&doors, &job).await;
+        assert!(0 < kept && kept < whole.len() as u64, "{kept}");
+        assert_eq!(rows_of(&doors, &job).await, whole);
+    }
     doors.close().await;
 }
 

@@ -100,10 +100,33 @@ pub(super) async fn held_midway(doors: &Doors, job: &str) -> (Vec<BatchTurn>, Va
     panic!("the job {job} does not run");
 }
 
+/// Restarts a service whose turns are held.
+pub(super) async fn restarted_midway(doors: Doors, turns: Vec<BatchTurn>) -> Doors {
+    // A run that waits for its turn sees that the service stops when it has it.
+    let stopped = async {
+        sleep(HEARTBEAT).await;
+        drop(turns);
+    };
+    tokio::join!(doors.restarted(), stopped).0
+}
+
+/// Number of the answers of a job that its report ascribes to a run that was cut off.
+pub(super) async fn kept_answers(doors: &Doors, job: &str) -> u64 {
+    let (_, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
+    let lines: Vec<String> = serde_json::from_value(report["provenance"].clone()).unwrap();
+    let kept = |line: &String| {
+        let (count, rest) = line.strip_prefix("the first ")?.split_once(' ')?;
+        assert_eq!(rest, "answers are those of a run that was cut off");
+        count.parse().ok()
+    };
+    lines.iter().find_map(kept).unwrap_or(0)
+}
+
 /// Number of files in the folder of jobs.
 fn files(doors: &Doors) -> usize {
     let folder = doors.folder().join("test.db.jobs");
-    let inside = ["incoming", "inputs", "results"].map(|name| folder.join(name));
+    let names = ["incoming", "inputs", "results", "checkpoints"];
+    let inside = names.map(|name| folder.join(name));
     inside.iter().map(|folder| std::fs::read_dir(folder).unwrap().count()).sum()
 }
 
@@ -453,22 +476,32 @@ async fn a_cancelled_job_ends_and_makes_room() {
 }
 
 #[tokio::test]
-async fn a_job_that_a_restart_interrupts_begins_again() {
+async fn a_job_that_a_restart_interrupts_goes_on() {
     let first = doors(|_| {}).await;
     let job = created(&first, LONG.body(&json!({"mode": "rtk-ekf"}))).await;
     let (turns, running) = held_midway(&first, &job).await;
     assert_eq!(running["state"], "RUNNING");
-    // A run that waits for its turn sees that the service stops when it has it.
-    let stopped = async {
-        sleep(HEARTBEAT).await;
-        drop(turns);
-    };
-    let (second, ()) = tokio::join!(first.restarted(), stopped);
+    let second = restarted_midway(first, turns).await;
     let done = ended(&second, &job).await;
     assert_eq!((&done["state"], &done["progress"]["epochs"]), (&json!("SUCCEEDED"), &json!(301)));
     let (_, result) = bytes_of(&second, &format!("/v1/jobs/{job}/result")).await;
     assert_eq!(result, LONG.solved(&["--mode", "rtk-ekf"], "pos"));
-    assert_eq!(files(&second), 4, "the result of the first run is left");
+    let kept = kept_answers(&second, &job).await;
+    assert!((1..301).contains(&kept), "{kept}");
+    assert_eq!(files(&second), 4, "the result of the first run, or its checkpoint, is left");
+}
+
+/// A batch is answered as a whole.
+#[tokio::test]
+async fn a_batch_that_a_restart_interrupts_begins_again() {
+    let first = doors(|_| {}).await;
+    let options = json!({"mode": "fgo", "batch": true});
+    let job = created(&first, LONG.body(&options)).await;
+    let turns = all_turns(&first).await;
+    let second = restarted_midway(first, turns).await;
+    let done = ended(&second, &job).await;
+    assert_eq!((&done["state"], &done["progress"]["epochs"]), (&json!("SUCCEEDED"), &json!(301)));
+    assert_eq!(kept_answers(&second, &job).await, 0);
 }
 
 #[tokio::test]

@@ -222,7 +222,8 @@ impl Machine {
     fn new(buckets: &Buckets, prefix: &str, running: usize) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let jobs = folder.path().join("jobs").display().to_string();
-        let jobs = format!("[jobs]\nfolder = \"{jobs}\"\nrunning = {running}\nsilent_s = 2\n");
+        let jobs = format!("[jobs]\nfolder = \"{jobs}\"\nrunning = {running}\n");
+        let jobs = jobs + "silent_s = 2\ncheckpoint_s = 1\n";
         let keys = folder.path().join("keys");
         let text = "[default]\naws_access_key_id = an-id\naws_secret_access_key = a-secret\n";
         std::fs::write(&keys, text).unwrap();
@@ -256,7 +257,8 @@ fn refused(output: &Output) -> String {
     code.unwrap_or_else(|| panic!("{text}")).to_owned()
 }
 
-/// Service and workers share a database and a bucket, and no folder. A worker is killed meanwhile.
+/// Service and workers share a database and a bucket, and no folder. A worker is killed meanwhile;
+/// the other one goes on after its checkpoint.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn workers_elsewhere_need_the_bucket_only() {
     let Some(buckets) = Buckets::start().await else { return };
@@ -284,8 +286,8 @@ async fn workers_elsewhere_need_the_bucket_only() {
             serde_json::from_slice(&answer).unwrap_or_default()
         };
         let job = create("{\"mode\": \"fgo\"}"); // Long enough to be cut off.
-        let runs = |job: &Value| job["progress"]["epochs"].as_u64().is_some_and(|n| 0 < n);
-        until("running", async || get(&job), runs).await;
+        let checkpoints = async || buckets.names("fleet/checkpoints/").len();
+        until("a checkpoint", checkpoints, |count| 0 < *count).await;
         worker.0.kill().unwrap();
         worker.0.wait().unwrap();
         assert_eq!(there.left(), 0, "a file of the killed worker");
@@ -297,7 +299,10 @@ async fn workers_elsewhere_need_the_bucket_only() {
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let result = curl(port, &format!("/{job}/result"), &[]).unwrap();
         assert!(result == HOUR.solved(&["--mode", "fgo"], "pos"));
+        let report = get(&format!("{job}/report")).to_string();
+        assert!(report.contains("answers are those of a run that was cut off"), "{report}");
         assert_eq!(buckets.names("fleet/results/").len(), 1);
+        until("the checkpoints are removed", checkpoints, |count| *count == 0).await;
         assert_eq!((here.left(), third.left()), (0, 0));
         drop(other);
         // Another bucket, and one that cannot be read.

@@ -47,7 +47,8 @@ impl World {
     fn new(database: Database) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let jobs = folder.path().join("jobs");
-        let text = format!("[jobs]\nfolder = \"{}\"\nrunning = 0\nsilent_s = 2\n", jobs.display());
+        let limits = "running = 0\nsilent_s = 2\ncheckpoint_s = 1\n";
+        let text = format!("[jobs]\nfolder = \"{}\"\n{limits}", jobs.display());
         std::fs::write(folder.path().join("graphfix.toml"), text).unwrap();
         let key = |tenant: &str| {
             let rights = ["--right", "read,operate", "--tenant", tenant];
@@ -109,7 +110,13 @@ impl World {
     }
 
     fn results(&self) -> usize {
-        std::fs::read_dir(self.folder.path().join("jobs/results")).unwrap().count()
+        self.files("results")
+    }
+
+    /// Number of files in a folder of the jobs.
+    fn files(&self, inside: &str) -> usize {
+        let folder = self.folder.path().join("jobs").join(inside);
+        std::fs::read_dir(folder).unwrap().count()
     }
 }
 
@@ -150,6 +157,35 @@ async fn kill_9_of_service_and_workers_loses_no_job() {
         }
         assert_eq!(world.results(), jobs.len(), "results of interrupted runs are left");
         drop((workers, server));
+    })
+    .await;
+}
+
+/// A job whose worker is killed goes on after its last checkpoint, also if the service is killed,
+/// too.
+#[tokio::test]
+async fn a_killed_run_goes_on_after_its_checkpoint() {
+    on_postgres(async |database| {
+        let world = World::new(database);
+        let files = HOUR.write(world.folder.path());
+        let mut server = world.served().await;
+        let worker = world.worker(&[]);
+        let options = "{\"mode\": \"rtk-fgo\", \"smoothed\": true, \"format\": \"geojson\"}";
+        let job = world.create(0, &files, options);
+        until("a checkpoint", async || world.files("checkpoints"), |files| 0 < *files).await;
+        drop(worker); // Killed.
+        server.kill();
+        server = world.served().await;
+        let worker = world.worker(&[]);
+        let done = world.until_it(&job, "done", has_ended).await;
+        assert_eq!(done["state"], "SUCCEEDED", "{done}");
+        let report = world.get(0, &format!("/{job}/report")).to_string();
+        assert!(report.contains("answers are those of a run that was cut off"), "{report}");
+        let result = world.curl(0, &format!("/{job}/result"), &[]).unwrap();
+        assert!(result == HOUR.solved(&["--mode", "rtk-fgo", "--smoothed"], "geojson"));
+        let removed = async || world.files("checkpoints");
+        until("the checkpoints are removed", removed, |files| *files == 0).await;
+        drop((worker, server));
     })
     .await;
 }

@@ -97,6 +97,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "feeds",
             "recording",
             "session",
+            "snapshot",
         ],
     ),
     (
