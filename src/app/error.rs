@@ -4,6 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use crate::aiding::AidingError;
+use crate::contract::WebOriginError;
 use crate::feeds::FetchError;
 use crate::formats::geoid::GeoidError;
 use crate::jobs::JobError;
@@ -41,6 +42,9 @@ pub enum AppError {
     /// The certificate of the service.
     #[error(transparent)]
     Tls(#[from] TlsError),
+    /// The origins of web pages.
+    #[error(transparent)]
+    WebOrigins(#[from] WebOriginError),
     /// A key of stored secrets.
     #[error(transparent)]
     Secrets(#[from] SecretsError),
@@ -77,6 +81,7 @@ impl AppError {
             Self::NotLoopback(_) => Code::ListenNotLoopback,
             Self::NotEncrypted(_) => Code::ListenNotEncrypted,
             Self::Tls(error) => error.code(),
+            Self::WebOrigins(_) => Code::ConfigurationMalformed,
             Self::Secrets(error) => error.code(),
             Self::Traces(error) => error.code(),
             Self::Antex { .. } => Code::AntexInvalid,

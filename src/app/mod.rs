@@ -23,12 +23,12 @@ use uuid::Uuid;
 use crate::aiding::{AidingDesk, AidingLimits};
 use crate::cluster::Cluster;
 use crate::config::{
-    AntennasConfiguration, BasesConfiguration, CasterConfiguration, ClusterConfiguration, Limits,
-    NavigationConfiguration, NetworkConfiguration, SecretsConfiguration, ServiceConfiguration,
-    TelemetryConfiguration,
+    AntennasConfiguration, BasesConfiguration, CasterConfiguration, ClusterConfiguration,
+    FetchConfiguration, Limits, NavigationConfiguration, NetworkConfiguration,
+    SecretsConfiguration, ServiceConfiguration, TelemetryConfiguration,
 };
-use crate::contract::Service;
 use crate::contract::nodes::Nodes;
+use crate::contract::{Service, WebOrigins};
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
     ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
@@ -80,8 +80,8 @@ pub async fn open(
     let catalogue = antenna_catalogue(antennas)?;
     let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
     let sources = navigation_sources(navigation)?;
-    let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
-    let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
+    let origins = WebOrigins::new(&configuration.cors)?;
+    let connector = connector(fetch, time_limits)?;
     // The operator's sources may be anywhere, those of clients only at the listed hosts.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
@@ -116,9 +116,17 @@ pub async fn open(
     let quotas = TenantQuotas::open(store.clone(), sessions.meters().clone()).await?;
     let service = Service::new(sessions, aiding, feeds, jobs, keys, quotas, limits.clone());
     let service = service.named(node).with_hosts(&configuration.hosts).with_tls(tls);
+    let service = service.with_web_origins(origins);
     let service = service.with_nodes(nodes).with_dashboard(configuration.dashboard.clone());
     let service = service.with_tracer(exporter.as_ref().map(Exporter::tracer).cloned());
     Ok(App { store, service, exporter })
+}
+
+/// Connects to the hosts that clients may name.
+fn connector(fetch: &FetchConfiguration, time_limits: TimeLimits) -> Result<Connector, FetchError> {
+    let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
+    let policy = policy.with_tenants(&fetch.tenants)?;
+    Connector::new(policy, time_limits, fetch.ca_file.as_deref())
 }
 
 /// What a node does for itself each second, and for the cluster once it leads.

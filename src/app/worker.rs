@@ -1,13 +1,13 @@
 //! A worker's desks: what runs jobs beside a service.
 
 use crate::config::ServiceConfiguration;
-use crate::feeds::{Connector, FetchPolicy, TimeLimits};
+use crate::feeds::TimeLimits;
 use crate::jobs::Worker;
 use crate::quotas::{Meters, TenantQuotas};
 use crate::session::BatchLane;
 use crate::store::Store;
 
-use super::{AppError, aiding_limits, geoid_table, node_name};
+use super::{AppError, aiding_limits, connector, geoid_table, node_name};
 
 /// A worker that runs jobs.
 pub struct WorkerApp {
@@ -27,8 +27,7 @@ pub async fn open_worker(
 ) -> Result<WorkerApp, AppError> {
     let ServiceConfiguration { database, fetch, jobs, limits, .. } = configuration;
     let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
-    let policy = FetchPolicy::new(&fetch.hosts, fetch.private_addresses)?;
-    let connector = Connector::new(policy, time_limits, fetch.ca_file.as_deref())?;
+    let connector = connector(fetch, time_limits)?;
     let node = node_name(configuration);
     let store = Store::open_existing(database).await?;
     let meters = Meters::default();

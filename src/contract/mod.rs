@@ -29,6 +29,7 @@ mod service;
 mod sign_in;
 mod texts;
 mod threads;
+mod web_origins;
 
 pub use budget::Budget;
 pub(crate) use budget::{Lease, check_ratio};
@@ -43,6 +44,7 @@ pub use service::Service;
 pub(crate) use service::Tiles;
 pub(crate) use sign_in::SignedIn;
 pub(crate) use threads::{in_background, off_the_network};
+pub use web_origins::{WebOriginError, WebOrigins};
 
 /// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.
 #[allow(missing_docs, unreachable_pub, clippy::all)]

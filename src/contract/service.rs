@@ -17,7 +17,7 @@ use crate::traces::Tracer;
 
 use super::nodes::Nodes;
 use super::refused_acts::RefusedActs;
-use super::{Budget, Refusal, RequestMeters};
+use super::{Budget, Refusal, RequestMeters, WebOrigins};
 
 /// Uploaded files that are read at the same time. More would take processor time from the
 /// estimators.
@@ -52,6 +52,8 @@ struct Desks {
     file_readers: Arc<Semaphore>,
     /// Host names that requests may use, besides `localhost` and loopback addresses.
     hosts: Arc<[String]>,
+    /// Origins of web pages of other hosts that may call.
+    web_origins: WebOrigins,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
     meters: RequestMeters,
@@ -95,6 +97,7 @@ impl Service {
             budget,
             file_readers: Arc::new(Semaphore::new(FILE_READERS)),
             hosts: Arc::default(),
+            web_origins: WebOrigins::default(),
             limits: Arc::new(limits),
             draining: Arc::new(watch::Sender::new(false)),
             node: "".into(),
@@ -126,6 +129,18 @@ impl Service {
     pub fn with_hosts(mut self, hosts: &[String]) -> Self {
         Arc::make_mut(&mut self.0).hosts = hosts.into();
         self
+    }
+
+    /// The service with origins of web pages of other hosts that may call it.
+    #[must_use]
+    pub(crate) fn with_web_origins(mut self, origins: WebOrigins) -> Self {
+        Arc::make_mut(&mut self.0).web_origins = origins;
+        self
+    }
+
+    /// The origins of web pages of other hosts that may call.
+    pub(crate) fn web_origins(&self) -> &WebOrigins {
+        &self.0.web_origins
     }
 
     /// The service with a port that is encrypted, unless `tls` is `None`.

@@ -1,13 +1,16 @@
 //! Which hosts may be contacted, and at which of their addresses.
 //!
 //! A client's choice of host must not lead into the operator's own network. Only hosts that the
-//! operator lists are contacted. The host's name is resolved once, each address is checked, and the
-//! connection uses a checked address. So it does not help an attacker to change the name's address
-//! a moment later.
+//! operator lists, for all tenants or for the client's, are contacted. The host's name is resolved
+//! once, each address is checked, and the connection uses a checked address. So it does not help an
+//! attacker to change the name's address a moment later.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::time::Duration;
+
+use crate::tenant::Tenant;
 
 use super::FetchError;
 
@@ -20,6 +23,8 @@ const ADDRESSES_LIMIT: usize = 16;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FetchPolicy {
     hosts: Vec<HostPattern>,
+    /// Further ones that a tenant may name.
+    of_tenants: BTreeMap<Tenant, Vec<HostPattern>>,
     allows_private: bool,
 }
 
@@ -37,8 +42,30 @@ impl FetchPolicy {
     /// # Errors
     /// A text is not a host.
     pub fn new(hosts: &[String], allows_private: bool) -> Result<Self, FetchError> {
-        let hosts = hosts.iter().map(|text| HostPattern::parse(text)).collect::<Result<_, _>>()?;
-        Ok(Self { hosts, allows_private })
+        Ok(Self { hosts: parsed(hosts)?, of_tenants: BTreeMap::new(), allows_private })
+    }
+
+    /// The same, with further hosts that tenants of these names may name.
+    ///
+    /// # Errors
+    /// A text is not a host, or not the name of a tenant.
+    pub fn with_tenants(
+        mut self,
+        tenants: &BTreeMap<String, Vec<String>>,
+    ) -> Result<Self, FetchError> {
+        for (name, hosts) in tenants {
+            let invalid = || FetchError::TenantInvalid { text: name.clone() };
+            let tenant = Tenant::parse(name).ok_or_else(invalid)?;
+            self.of_tenants.insert(tenant, parsed(hosts)?);
+        }
+        Ok(self)
+    }
+
+    /// The policy for what a tenant names.
+    pub(super) fn of(&self, tenant: &Tenant) -> Self {
+        let own = self.of_tenants.get(tenant).into_iter().flatten();
+        let hosts = self.hosts.iter().chain(own).cloned().collect();
+        Self { hosts, of_tenants: BTreeMap::new(), allows_private: self.allows_private }
     }
 
     /// Checks whether a host may be contacted at a port.
@@ -83,6 +110,10 @@ impl FetchPolicy {
         }
         Ok(permitted)
     }
+}
+
+fn parsed(hosts: &[String]) -> Result<Vec<HostPattern>, FetchError> {
+    hosts.iter().map(|text| HostPattern::parse(text)).collect()
 }
 
 impl HostPattern {

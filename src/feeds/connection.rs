@@ -15,6 +15,8 @@ use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
 use crate::tls::Connection;
 
+use crate::tenant::Tenant;
+
 use super::{FetchError, FetchPolicy};
 
 /// Time limits for a host.
@@ -76,6 +78,11 @@ impl Connector {
             .with_root_certificates(roots)
             .with_no_client_auth();
         Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), time_limits })
+    }
+
+    /// The same for what a tenant names.
+    pub(crate) fn of(&self, tenant: &Tenant) -> Self {
+        Self { policy: Arc::new(self.policy.of(tenant)), ..self.clone() }
     }
 
     /// The hosts that may be contacted.

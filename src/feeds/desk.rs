@@ -88,8 +88,8 @@ impl Feeds {
                 tracing::error!(%code, %base, %error, "the stream of a base cannot start");
             }
         }
-        for (base, template) in filled {
-            if let Err(error) = self.fill(&base, &template) {
+        for (base, tenant, template) in filled {
+            if let Err(error) = self.fill(&tenant, &base, &template) {
                 let code = error.code();
                 tracing::error!(%code, %base, %error, "the archive of a base cannot start");
             }
@@ -158,13 +158,13 @@ impl Feeds {
         self.sources().iter().map(|source| (source.name.clone(), source.status())).collect()
     }
 
-    /// Checks whether a stream may be requested.
+    /// Checks whether a tenant may request a stream.
     ///
     /// # Errors
     /// The caster's address or the mountpoint is invalid, or the operator does not list the host.
-    pub(crate) fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
-        let request = request_of(feed)?;
-        self.desk.connector.policy().check(&request.caster.host, request.caster.port)
+    pub(crate) fn check(&self, tenant: &Tenant, feed: &BaseFeed) -> Result<(), FetchError> {
+        let caster = request_of(feed)?.caster;
+        self.desk.connector.of(tenant).policy().check(&caster.host, caster.port)
     }
 
     /// Starts to fill a base of a tenant from a stream.
@@ -203,7 +203,11 @@ impl Feeds {
                 source: tenant_source(tenant),
             },
             status.clone(),
-            StreamMeans { connector: connector.clone(), aiding: aiding.clone(), options: *options },
+            StreamMeans {
+                connector: connector.of(tenant),
+                aiding: aiding.clone(),
+                options: *options,
+            },
             stopped,
         );
         let task = tokio::spawn(stream.run());
@@ -211,31 +215,36 @@ impl Feeds {
         Ok(())
     }
 
-    /// Checks whether an archive's host may be contacted for a base's files.
+    /// Checks whether an archive's host may be contacted for the files of a tenant's base.
     ///
     /// # Errors
     /// The address is invalid or has no day, or the operator does not list the host.
-    pub(crate) fn check_archive(&self, template: &str) -> Result<(), FetchError> {
+    pub(crate) fn check_archive(&self, tenant: &Tenant, template: &str) -> Result<(), FetchError> {
         let template = ArchiveTemplate::new(template)?;
         if template.period_s().is_none() {
             return Err(FetchError::TemplateWithoutDay { text: template.to_string() });
         }
         let url = template.at(GpsTime::EPOCH)?;
-        self.desk.connector.policy().check(&url.host, url.port)
+        self.desk.connector.of(tenant).policy().check(&url.host, url.port)
     }
 
-    /// Starts to fill a base from an archive's files, each fetched when rovers need it.
+    /// Starts to fill a tenant's base from an archive's files, each fetched when rovers need it.
     ///
     /// # Errors
     /// The address is invalid.
-    pub(crate) fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
+    pub(crate) fn fill(
+        &self,
+        tenant: &Tenant,
+        base: &BaseId,
+        template: &str,
+    ) -> Result<(), FetchError> {
         let (stop, stopped) = watch::channel(false);
         let status = Arc::new(ArchiveStatus::new());
         let Desk { connector, aiding, options, reading, .. } = &*self.desk;
         let archive = BaseArchive {
             base: base.clone(),
             template: ArchiveTemplate::new(template)?,
-            connector: connector.clone(),
+            connector: connector.of(tenant),
             bases: aiding.bases.clone(),
             options: *options,
             status: status.clone(),

@@ -40,6 +40,12 @@ pub enum FetchError {
         /// The text as given.
         text: String,
     },
+    /// Hosts are listed for a text that is not the name of a tenant.
+    #[error("{text:?} in fetch.tenants is not the name of a tenant")]
+    TenantInvalid {
+        /// The text as given.
+        text: String,
+    },
     /// The operator does not list the host.
     #[error("the operator does not allow {host}:{port}")]
     HostNotAllowed {
@@ -94,7 +100,7 @@ impl FetchError {
     /// The stable code.
     pub const fn code(&self) -> Code {
         match self {
-            Self::PatternInvalid { .. } => Code::FetchHostInvalid,
+            Self::PatternInvalid { .. } | Self::TenantInvalid { .. } => Code::FetchHostInvalid,
             Self::CasterInvalid { .. } => Code::CasterAddressInvalid,
             Self::UrlInvalid { .. } | Self::TemplateWithoutDay { .. } => Code::LocationInvalid,
             Self::MountpointInvalid { .. } => Code::MountpointInvalid,

@@ -27,7 +27,7 @@ impl TenantFeeds<'_> {
     /// # Errors
     /// The caster's address or the mountpoint is invalid, or the operator does not list the host.
     pub(crate) fn check(&self, feed: &BaseFeed) -> Result<(), FetchError> {
-        self.feeds.check(feed)
+        self.feeds.check(self.tenant, feed)
     }
 
     /// Checks whether an archive's host may be contacted for a base's files.
@@ -35,7 +35,7 @@ impl TenantFeeds<'_> {
     /// # Errors
     /// The address is invalid or has no day, or the operator does not list the host.
     pub(crate) fn check_archive(&self, template: &str) -> Result<(), FetchError> {
-        self.feeds.check_archive(template)
+        self.feeds.check_archive(self.tenant, template)
     }
 
     /// Starts to fill a base of the tenant from a stream.
@@ -51,7 +51,7 @@ impl TenantFeeds<'_> {
     /// # Errors
     /// The address is invalid.
     pub(crate) fn fill(&self, base: &BaseId, template: &str) -> Result<(), FetchError> {
-        self.feeds.fill(base, template)
+        self.feeds.fill(self.tenant, base, template)
     }
 
     /// Stops filling a base of the tenant.

@@ -135,9 +135,10 @@ fn checked(
     request: &Request,
 ) -> Result<(&'static Call, Option<Pass>), Refusal> {
     let (method, path) = (request.method(), request.uri().path());
-    if !matches!(mark, Mark::Node(_)) {
-        check_host(service, request.uri(), request.headers())?;
-    }
+    let foreign = match mark {
+        Mark::Node(_) => None, // The node that sends it on has looked.
+        _ => foreign_origin(service, request.uri(), request.headers())?,
+    };
     let call = match target {
         Target::Call(call) => call,
         Target::OtherMethod(_) => {
@@ -157,7 +158,15 @@ fn checked(
         return Ok((call, pass));
     }
     let peer = request.extensions().get().map(|Peer { address, .. }| *address);
-    Ok((call, service.admit(call, credential(request), peer)?))
+    let pass = service.admit(call, credential(request), peer)?;
+    if let (Some(origin), Some(pass)) = (foreign, &pass)
+        && !service.web_origins().serve(origin, pass.tenant())
+    {
+        let tenant = pass.tenant().name();
+        let message = format!("pages of {origin} may not call for the tenant {tenant:?}");
+        return Err(Refusal::new(Code::OriginRefused, message));
+    }
+    Ok((call, pass))
 }
 
 /// The request with its lease.
@@ -219,19 +228,27 @@ fn answer(refusal: Refusal, is_grpc: bool) -> Response {
 }
 
 /// Refuses a request for a host that is not this service, and a request from a page of another
-/// origin. Otherwise a web page could resolve its own host name to this machine and so reach the
-/// service (DNS rebinding).
-fn check_host(service: &Service, uri: &Uri, headers: &HeaderMap) -> Result<(), Refusal> {
+/// origin that the operator does not list. Otherwise a web page could resolve its own host name to
+/// this machine and so reach the service (DNS rebinding). Returns the origin if it is listed for
+/// some tenants only.
+fn foreign_origin<'a>(
+    service: &Service,
+    uri: &Uri,
+    headers: &'a HeaderMap,
+) -> Result<Option<&'a str>, Refusal> {
     let host = host(uri, headers);
     if let Some(host) = host.filter(|host| !is_own(service, host)) {
         let message = format!("the request names the host {:?}", brief(host));
         return Err(Refusal::new(Code::HostRefused, message));
     }
-    let Some(origin) = text(headers, header::ORIGIN) else { return Ok(()) };
+    let Some(origin) = text(headers, header::ORIGIN) else { return Ok(None) };
     let (_, from) = origin.split_once("://").unwrap_or(("", origin));
     let is_same = host.is_some_and(|host| host.eq_ignore_ascii_case(from));
     if is_same || service.is_listed_host(name_of(from)) {
-        return Ok(());
+        return Ok(None);
+    }
+    if service.web_origins().has(origin) {
+        return Ok(Some(origin));
     }
     let message = format!("the request comes from a page of {:?}", brief(origin));
     Err(Refusal::new(Code::OriginRefused, message))

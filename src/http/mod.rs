@@ -8,6 +8,7 @@ mod body;
 mod caller;
 mod conditions;
 mod connection;
+mod cross_origin;
 mod dashboard;
 mod download;
 mod error_page;
@@ -72,11 +73,16 @@ pub fn router(service: &Service) -> Router {
         .merge(SwaggerUi::new("/docs").config(Config::from("/openapi.json")))
         .layer(RequestDecompressionLayer::new())
         .layer(CatchPanicLayer::custom(server::panicked));
-    Router::new()
+    let router = Router::new()
         .merge(rest)
         .merge(grpc::routes(service))
         .fallback(pages::no_route)
-        .layer(middleware::from_fn_with_state(admission, admission::admit))
+        .layer(middleware::from_fn_with_state(admission, admission::admit));
+    let origins = service.web_origins();
+    match origins.is_empty() {
+        true => router,
+        false => router.layer(middleware::from_fn_with_state(origins.clone(), cross_origin::share)),
+    }
 }
 
 /// Calls with short bodies, and the pages.

@@ -95,9 +95,10 @@ async fn begin(
 /// Makes an attempt and stores what it has come to.
 async fn attempt(desk: Arc<Desk>, due: DueWebhook, begun_unix_ms: i64) {
     let DueWebhook { job, secret, attempt } = due;
+    let connector = desk.connector.of(&job.tenant);
     let (key, id, ended) = (job.key, job.id.clone(), job.ended_unix_ms.unwrap_or(begun_unix_ms));
     let made = match JobInfo::of(job) {
-        Ok(job) => sent(&desk.connector, &job, &secret, begun_unix_ms).await,
+        Ok(job) => sent(&connector, &job, &secret, begun_unix_ms).await,
         Err(error) => Made::failed(error.code(), error.to_string()),
     };
     let now = desk.clock.unix_ms();

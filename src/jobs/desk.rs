@@ -130,8 +130,9 @@ impl Jobs {
     /// idempotency key, or the store fails.
     pub async fn submit(&self, submission: Submission) -> Result<(JobInfo, bool), JobError> {
         let Submission { mut options, files, urls, webhook, idempotency_key } = submission;
+        let connector = self.desk.connector.of(&self.tenant);
         if let Some(webhook) = &webhook {
-            webhook.check(&self.desk.connector)?;
+            webhook.check(&connector)?;
             options.webhook = Some(webhook.url.clone());
         }
         let limit = self.desk.limits.files;
@@ -148,7 +149,7 @@ impl Jobs {
         });
         let mut inputs: Vec<_> = inputs.collect();
         for url in &urls {
-            inputs.push(url.input(&self.desk.connector)?);
+            inputs.push(url.input(&connector)?);
         }
         let mut request = JobRequest::new(options, inputs);
         let request_hash = request.hash(webhook.as_ref());

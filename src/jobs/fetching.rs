@@ -120,13 +120,14 @@ async fn inputs(
     row: JobRow,
     running: &Running,
 ) -> Result<Option<(JobRequest, Vec<StoredFile>)>, Failure> {
+    let connector = desk.connector.of(&row.tenant);
     let refused = |error: &JobError, part| Failure::new(error.code(), error.to_string(), part);
     let mut request = JobInfo::of(row).map_err(|error| refused(&error.into(), None))?.request;
     let files = desk.files().map_err(|error| refused(&error, None))?;
     let (mut upload, mut stored) = (Upload::fetch_to(files), Vec::new());
     for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
         let part = Some(input.part.name());
-        let fetching = tried(desk, &mut upload, input, running);
+        let fetching = tried((desk, &connector), &mut upload, input, running);
         match fetching.await.map_err(|error| Failure::new(error.code(), error.text(), part))? {
             None => return Ok(None),
             Some(file) => {
@@ -184,7 +185,7 @@ impl Unfetched {
 
 /// Fetches a file, with several tries; `None` if the job is stopped.
 async fn tried(
-    desk: &Desk,
+    (desk, connector): (&Desk, &Connector),
     upload: &mut Upload,
     input: &JobInput,
     running: &Running,
@@ -195,7 +196,7 @@ async fn tried(
     let longest = Duration::from_secs(desk.limits.fetch_s);
     for attempt in 1.. {
         let file = upload.begin_again().await.map_err(Unfetched::Job)?;
-        let fetching = fetched(&desk.connector, &url, longest, file);
+        let fetching = fetched(connector, &url, longest, file);
         let error = match unless_stopped(running, fetching).await {
             None => return Ok(None),
             Some(Ok(file)) => return Ok(Some(file)),

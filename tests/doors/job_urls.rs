@@ -23,7 +23,7 @@ use super::jobs::{bytes_of, created, ended, post};
 on_both_databases!(a_job_of_urls_gives_the_bytes_of_solve);
 
 /// A host that has these files.
-async fn host(files: Vec<(&'static str, Vec<u8>)>) -> HostileCaster {
+pub(super) async fn host(files: Vec<(&'static str, Vec<u8>)>) -> HostileCaster {
     let files = Arc::new(files);
     HostileCaster::start(move |_, mut stream, head| {
         let files = files.clone();

@@ -275,8 +275,7 @@ async fn a_webhook_does_not_lead_into_the_operators_network() {
         database: format!("sqlite://{}", folder.path().join("a.db").display()),
         fetch: FetchConfiguration {
             hosts: vec!["localhost".to_owned()],
-            private_addresses: false,
-            ca_file: None,
+            ..ServiceConfiguration::standard().fetch
         },
         jobs: JobsConfiguration { webhook_attempts: 1, ..quick() },
         ..ServiceConfiguration::standard()

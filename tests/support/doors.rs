@@ -1,5 +1,7 @@
 //! A service in this process; requests go through its router.
 
+use std::collections::BTreeMap;
+
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
@@ -48,6 +50,22 @@ impl Doors {
         let place = (tempfile::tempdir().unwrap(), None);
         let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
         let change = |configuration| ServiceConfiguration { telemetry, ..configuration };
+        Self::changed(place, limits, jobs, BRISK, change).await
+    }
+
+    /// With these origins of web pages, by tenant.
+    pub(crate) async fn with_cors(cors: BTreeMap<String, Vec<String>>) -> Self {
+        let place = (tempfile::tempdir().unwrap(), None);
+        let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
+        let change = |configuration| ServiceConfiguration { cors, ..configuration };
+        Self::changed(place, limits, jobs, BRISK, change).await
+    }
+
+    /// With these hosts that clients may name.
+    pub(crate) async fn with_fetch(fetch: FetchConfiguration) -> Self {
+        let place = (tempfile::tempdir().unwrap(), None);
+        let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
+        let change = |configuration| ServiceConfiguration { fetch, ..configuration };
         Self::changed(place, limits, jobs, BRISK, change).await
     }
 
@@ -145,7 +163,11 @@ impl Doors {
         let [antex, geoid] = [ANTEX, GEOID].map(|name| folder.path().join(name));
         let configuration = ServiceConfiguration {
             database: database.clone(),
-            fetch: FetchConfiguration { hosts, private_addresses: true, ca_file: None },
+            fetch: FetchConfiguration {
+                hosts,
+                private_addresses: true,
+                ..ServiceConfiguration::standard().fetch
+            },
             antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
             geoid_file: geoid.is_file().then_some(geoid),
             jobs: jobs.clone(),

@@ -10,6 +10,7 @@ import { join } from "node:path";
 import {
   FORMS, browser, capture, checkAccessibility, complaints, folder, open, run, serve, start, started, stopAll, until,
 } from "./harness.mjs";
+import { foreign } from "./foreign.mjs";
 import { jobs } from "./jobs.mjs";
 import { keys } from "./keys.mjs";
 import { delays, tiles } from "./live.mjs";
@@ -277,6 +278,7 @@ try {
   await signInIsAsked();
   await jobs();
   await keys();
+  await foreign();
   await truths();
   await delays();
   await tiles();

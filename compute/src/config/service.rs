@@ -3,6 +3,7 @@
 //! Every value has a default here. A TOML file, `GRAPHFIX_…` variables and arguments override it,
 //! in this order. The command line reads them; an unknown key in the file is refused by name.
 
+use std::collections::BTreeMap;
 use std::fmt;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -48,6 +49,9 @@ pub struct ServiceConfiguration {
     /// Names under which the service may be asked, beside `localhost` and its address: those of a
     /// proxy that passes the name on. Web pages of these hosts may ask it, too.
     pub hosts: Vec<String>,
+    /// Origins of web pages of other hosts that may call the service with a key of a tenant
+    /// (CORS), by the tenant's name: `https://HOST` or `https://HOST:PORT`.
+    pub cors: BTreeMap<String, Vec<String>>,
     /// URL of the database: `sqlite://FILE` or `postgres://…`.
     pub database: String,
     /// The other nodes on the same database.
@@ -163,6 +167,8 @@ impl fmt::Debug for CasterConfiguration {
 pub struct FetchConfiguration {
     /// Allowed hosts: `host`, `host:port`, or `*.domain` for all hosts below a domain.
     pub hosts: Vec<String>,
+    /// Further hosts that one tenant alone may name, by the tenant's name.
+    pub tenants: BTreeMap<String, Vec<String>>,
     /// Whether these hosts may have addresses of private networks.
     pub private_addresses: bool,
     /// PEM file of certificate authorities trusted besides the system's.
@@ -232,6 +238,7 @@ impl ServiceConfiguration {
             tls: TlsConfiguration::default(),
             node: String::new(),
             hosts: Vec::new(),
+            cors: BTreeMap::new(),
             database: STANDARD_DATABASE.to_owned(),
             database_file: None,
             secrets: SecretsConfiguration::default(),
@@ -240,6 +247,7 @@ impl ServiceConfiguration {
             telemetry: TelemetryConfiguration::standard(),
             fetch: FetchConfiguration {
                 hosts: Vec::new(),
+                tenants: BTreeMap::new(),
                 private_addresses: false,
                 ca_file: None,
             },

@@ -199,12 +199,12 @@ impl BaseBroker {
 
     /// Every base that is filled from an archive, with the template of the archive's file
     /// addresses.
-    pub(crate) fn archives(&self) -> Vec<(BaseId, String)> {
+    pub(crate) fn archives(&self) -> Vec<(BaseId, Tenant, String)> {
         let bases = self.read();
-        bases
+        let filled = bases
             .iter()
-            .filter_map(|(id, base)| Some((id.clone(), base.description.archive.clone()?)))
-            .collect()
+            .filter_map(|(id, base)| Some((id.clone(), base, base.description.archive.clone()?)));
+        filled.map(|(id, base, of)| (id, base.description.tenant.clone(), of)).collect()
     }
 
     /// The start of every quarter of an hour for which a rover has needed the base within a day, in

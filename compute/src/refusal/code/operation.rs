@@ -61,7 +61,8 @@ macro_rules! operation {
     ConfigurationMalformed = "CONFIGURATION_MALFORMED", NoCall,
         "correct the line that the message names";
     /// A pattern of fetch.hosts is invalid.
-    FetchHostInvalid = "FETCH_HOST_INVALID", NoCall, "list hosts as host, host:port or *.domain";
+    FetchHostInvalid = "FETCH_HOST_INVALID", NoCall,
+        "list hosts as host, host:port or *.domain; those of one tenant in fetch.tenants";
     /// The file fetch.ca_file cannot be read.
     CertificatesInvalid = "CERTIFICATES_INVALID", NoCall, "name a PEM file of certificates";
     /// The file antennas.antex cannot be read.

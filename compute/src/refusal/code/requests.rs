@@ -44,7 +44,7 @@ macro_rules! requests {
         "name the service by localhost or its address, or let the operator list the name in hosts";
     /// A web page of another origin sends the request.
     OriginRefused = "ORIGIN_REFUSED", Forbidden,
-        "use the service from its own pages, or let the operator list the page's host in hosts";
+        "use the service from its own pages, or let the operator list the page's origin in cors";
     /// The path does not exist.
     RouteNotFound = "ROUTE_NOT_FOUND", Route, "see /docs for the paths";
     /// The path does not take this method.
