@@ -11,11 +11,14 @@
 //! no claim to the time before.
 
 use std::collections::{HashMap, VecDeque};
+use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
+use crate::session::panics::caught;
 use crate::tenant::Tenant;
 
 /// What work is for.
@@ -37,10 +40,9 @@ const SHARES: [f64; 4] = [8.0, 4.0, 1.0, 1.0];
 const LANES: [Lane; 4] = [Lane::RealTime, Lane::Restore, Lane::OnDemand, Lane::Batch];
 
 /// The threads of a pool. All clones share them.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(super) struct Lanes(Arc<Mutex<Queues>>);
 
-#[derive(Debug)]
 struct Queues {
     /// Number of threads that do nothing.
     free: usize,
@@ -49,10 +51,10 @@ struct Queues {
     now_s: f64,
 }
 
-#[derive(Debug, Default)]
+#[derive(Default)]
 struct Queue {
     /// The work of each tenant whose work waits.
-    waiting: HashMap<Tenant, VecDeque<oneshot::Sender<Turn>>>,
+    waiting: HashMap<Tenant, VecDeque<Box<dyn Waiting>>>,
     /// These tenants, in the order in which they are served.
     order: VecDeque<Tenant>,
     /// Number of threads that work for this lane, and may.
@@ -62,8 +64,52 @@ struct Queue {
     used_s: f64,
 }
 
+/// What waits for a thread.
+trait Waiting: Send {
+    /// Whether nobody waits for it any more.
+    fn is_left(&self) -> bool;
+
+    /// Has the thread until the turn is dropped.
+    fn begin(self: Box<Self>, turn: Turn);
+}
+
+/// Who computes on a thread of his own.
+impl Waiting for oneshot::Sender<Turn> {
+    fn is_left(&self) -> bool {
+        self.is_closed()
+    }
+
+    fn begin(self: Box<Self>, turn: Turn) {
+        // Err: who waited has gone; dropping the turn returns the thread.
+        drop(self.send(turn));
+    }
+}
+
+/// Work for a blocking thread. It begins without a detour through the task that waits for it, so a
+/// thread of the pool does nothing only while nothing waits.
+struct Work<T, F> {
+    work: F,
+    done: oneshot::Sender<Result<T, String>>,
+    runtime: Handle,
+}
+
+impl<T: Send + 'static, F: FnOnce() -> T + Send + 'static> Waiting for Work<T, F> {
+    fn is_left(&self) -> bool {
+        self.done.is_closed()
+    }
+
+    fn begin(self: Box<Self>, turn: Turn) {
+        let Self { work, done, runtime } = *self;
+        runtime.spawn_blocking(move || {
+            let result = caught(work);
+            drop(turn);
+            // Err: who waited has gone.
+            done.send(result).ok();
+        });
+    }
+}
+
 /// The right to use a thread of the pool. Dropping it returns the thread.
-#[derive(Debug)]
 pub(super) struct Turn {
     lanes: Lanes,
     lane: Lane,
@@ -83,9 +129,26 @@ impl Lanes {
     /// Waits for a thread.
     pub(super) async fn turn(&self, lane: Lane, tenant: Tenant) -> Turn {
         let (turn, granted) = oneshot::channel();
-        self.queues().enter(lane, tenant, turn);
-        self.serve();
+        self.enter(lane, tenant, Box::new(turn));
         granted.await.expect("a turn that waits is granted")
+    }
+
+    /// Does `work` on a blocking thread, in its turn. Returns what it returns, or the message of
+    /// its panic; `None` if the runtime ends before.
+    pub(super) async fn run<T: Send + 'static>(
+        &self,
+        lane: Lane,
+        tenant: Tenant,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<Result<T, String>> {
+        let (done, result) = oneshot::channel();
+        self.enter(lane, tenant, Box::new(Work { work, done, runtime: Handle::current() }));
+        result.await.ok()
+    }
+
+    fn enter(&self, lane: Lane, tenant: Tenant, waiting: Box<dyn Waiting>) {
+        self.queues().enter(lane, tenant, waiting);
+        self.serve();
     }
 
     /// Whether work waits for a thread.
@@ -97,9 +160,7 @@ impl Lanes {
     fn serve(&self) {
         loop {
             let Some((lane, waiting)) = self.queues().next() else { return };
-            let turn = Turn { lanes: self.clone(), lane, begun: Instant::now() };
-            // Err: who waited has gone; dropping the turn returns the thread.
-            drop(waiting.send(turn));
+            waiting.begin(Turn { lanes: self.clone(), lane, begun: Instant::now() });
         }
     }
 
@@ -110,7 +171,7 @@ impl Lanes {
 
 impl Queue {
     /// Adds work of a tenant. One whose work does not wait yet is served last.
-    fn add(&mut self, tenant: Tenant, work: oneshot::Sender<Turn>) {
+    fn add(&mut self, tenant: Tenant, work: Box<dyn Waiting>) {
         match self.waiting.get_mut(&tenant) {
             Some(own) => own.push_back(work),
             None => {
@@ -121,7 +182,7 @@ impl Queue {
     }
 
     /// Takes the next work, of the tenant that has waited longest for its turn.
-    fn take(&mut self) -> Option<oneshot::Sender<Turn>> {
+    fn take(&mut self) -> Option<Box<dyn Waiting>> {
         let tenant = self.order.pop_front()?;
         let own = self.waiting.get_mut(&tenant)?;
         let work = own.pop_front();
@@ -137,7 +198,7 @@ impl Queue {
     fn drop_left(&mut self) {
         while let Some(tenant) = self.order.front() {
             let Some(own) = self.waiting.get_mut(tenant) else { return };
-            while own.front().is_some_and(oneshot::Sender::is_closed) {
+            while own.front().is_some_and(|work| work.is_left()) {
                 own.pop_front();
             }
             if !own.is_empty() {
@@ -150,7 +211,7 @@ impl Queue {
 }
 
 impl Queues {
-    fn enter(&mut self, lane: Lane, tenant: Tenant, waiting: oneshot::Sender<Turn>) {
+    fn enter(&mut self, lane: Lane, tenant: Tenant, waiting: Box<dyn Waiting>) {
         let now_s = self.now_s;
         let queue = &mut self.queues[lane as usize];
         if queue.order.is_empty() && queue.running == 0 {
@@ -160,7 +221,7 @@ impl Queues {
     }
 
     /// The work that comes next, if there is a thread for it.
-    fn next(&mut self) -> Option<(Lane, oneshot::Sender<Turn>)> {
+    fn next(&mut self) -> Option<(Lane, Box<dyn Waiting>)> {
         self.queues.iter_mut().for_each(Queue::drop_left);
         if self.free == 0 {
             return None;
@@ -183,6 +244,12 @@ impl Queues {
         queue.running -= 1;
         queue.used_s += used.as_secs_f64() / SHARES[lane as usize];
         self.free += 1;
+    }
+}
+
+impl fmt::Debug for Turn {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Turn").field("lane", &self.lane).finish_non_exhaustive()
     }
 }
 

@@ -8,7 +8,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use tokio::task::{JoinError, spawn_blocking};
 use tokio::time::sleep;
 
 use crate::clock::Stopwatch;
@@ -17,7 +16,7 @@ use crate::quotas::{Meter, Meters};
 use crate::tenant::Tenant;
 
 use super::SessionError;
-use super::panics::{caught, message};
+use super::panics::caught;
 use super::state::State;
 
 pub(super) use lanes::Lane;
@@ -193,15 +192,16 @@ impl Solvers {
         lane: Lane,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, SessionError> {
-        let turn = self.lanes.turn(lane, self.meter.tenant().clone()).await;
         let meter = self.meter.clone();
-        let running = spawn_blocking(move || {
-            let (_turn, begun) = (turn, Stopwatch::started());
+        let measured = move || {
+            let begun = Stopwatch::started();
             let done = work();
             meter.count_cpu(begun.elapsed());
             done
-        });
-        running.await.map_err(|error| SessionError::EstimatorFailed { message: message_of(error) })
+        };
+        let done = self.lanes.run(lane, self.meter.tenant().clone(), measured).await;
+        let done = done.unwrap_or_else(|| Err("it was cancelled".to_owned()));
+        done.map_err(|message| SessionError::EstimatorFailed { message })
     }
 
     /// Runs `work` on a thread of the pool, with an estimator's scratch.
@@ -323,10 +323,6 @@ impl MemoryPool {
     fn shared(&self) -> std::sync::MutexGuard<'_, Shared> {
         self.shared.lock().unwrap_or_else(PoisonError::into_inner)
     }
-}
-
-fn message_of(error: JoinError) -> String {
-    error.try_into_panic().map_or_else(|_| "it was cancelled".to_owned(), |p| message(&*p))
 }
 
 #[cfg(test)]
