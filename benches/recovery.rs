@@ -22,6 +22,10 @@ use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Se
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::{BaseChoice, Store};
 
+/// The allocator of the program.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// Sessions that push at the same time, while nothing is measured.
 const CONCURRENT: usize = 64;
 /// Epochs in a push while the sessions are filled.
@@ -163,7 +167,10 @@ async fn storm(sessions: &Sessions, drive: &Drive, ids: &[SessionId]) {
     let delays: Vec<f64> = storm.collect().await;
     let at = |fraction: f64| delays[(fraction * (delays.len() - 1) as f64) as usize];
     println!(
-        "after the crash: first answers p50 {:.1} s, p99 {:.1} s, all {:.1} s; {:.2} ms of CPU a session",
+        "after the crash: first answers p1 {:.1}, p10 {:.1}, p50 {:.1}, p99 {:.1} s, all {:.1} s; {:.2} ms of CPU a \
+         session",
+        at(0.01),
+        at(0.1),
         at(0.5),
         at(0.99),
         at(1.0),

@@ -25,9 +25,9 @@ use crate::store::{Batch, SessionRow, StoreError};
 use super::{Active, Known, Task};
 
 /// After a restart, the sessions that were in memory repeat this much computing on each thread.
-const RESTART: Duration = Duration::from_secs(10);
-/// Bounds of what one session repeats (empirical).
-const REPLAY_LEAST: Duration = Duration::from_millis(2);
+const RESTART: Duration = Duration::from_secs(6);
+/// Bounds of what one session repeats: less is not worth storing, more would be felt.
+const REPLAY_LEAST: Duration = WORTH_STORING;
 const REPLAY_MOST: Duration = Duration::from_millis(50);
 /// A state that leaves the memory is stored if to repeat its epochs takes longer: about what it
 /// costs to store and to read it again (benches/recovery).
