@@ -5,7 +5,7 @@ import { mkdtempSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { FORMS, browser, freePort, run, serve } from "./harness.mjs";
+import { FORMS, browser, freePort, run, serve, until } from "./harness.mjs";
 
 /** A host with one empty page. Returns its origin, and how to end it. */
 async function host() {
@@ -34,6 +34,7 @@ export async function foreign() {
   const { address, database } = await serve("--config", configuration);
   const key = (tenant) => run("keys", "create", "--database", database, "--tenant", tenant, "--right", "device,read,operate").match(/gfx_\S+/)[0];
   const [acme, another] = [key("acme"), key("another")];
+  await until("every call needs a key", 5, async () => (await fetch(`${address}/v1/sessions`)).status === 401);
   const context = await browser.newContext(FORMS[0].options);
   const page = await context.newPage();
 
