@@ -210,12 +210,6 @@ impl Sessions {
         if self.post(id, message, epochs)? {
             return Ok(());
         }
-        // After a restart all sessions come at once: to read the rows of all of them would delay
-        // the first ones that are restored.
-        let admitted = match self.is_parked(id) {
-            true => None,
-            false => Some(self.solvers().admitted_restore().await),
-        };
         let _starting = self.starting(id).lock().await;
         if self.post(id, message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
@@ -224,7 +218,6 @@ impl Sessions {
             let row = self.claimed(self.open_row(id).await?, id).await?;
             self.start(id, row, Start::Epochs)?;
         }
-        drop(admitted);
         if self.post(id, message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 

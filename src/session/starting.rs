@@ -35,11 +35,6 @@ impl Sessions {
         Ok(())
     }
 
-    /// Whether the session's parked state is in memory.
-    pub(super) fn is_parked(&self, id: &SessionId) -> bool {
-        self.tasks().parked.has(id, self.tenant())
-    }
-
     /// Starts the task of a session whose parked state is in memory. Returns `false` if the session
     /// has no such state.
     ///

@@ -54,7 +54,7 @@ struct Queues {
 #[derive(Default)]
 struct Queue {
     /// The work of each tenant whose work waits.
-    waiting: HashMap<Tenant, VecDeque<Box<dyn Waiting>>>,
+    waiting: HashMap<Tenant, VecDeque<Waiting>>,
     /// These tenants, in the order in which they are served.
     order: VecDeque<Tenant>,
     /// Number of threads that work for this lane, and may.
@@ -65,47 +65,52 @@ struct Queue {
 }
 
 /// What waits for a thread.
-trait Waiting: Send {
+enum Waiting {
+    /// Who computes on a thread of his own.
+    Turn(oneshot::Sender<Turn>),
+    /// Work for a thread of the pool.
+    Work(Box<dyn Work>),
+}
+
+/// Work that some task waits for.
+trait Work: Send {
     /// Whether nobody waits for it any more.
     fn is_left(&self) -> bool;
 
-    /// Has the thread until the turn is dropped.
-    fn begin(self: Box<Self>, turn: Turn);
+    /// The runtime on whose blocking threads it is done.
+    fn runtime(&self) -> Handle;
+
+    /// Does it, and tells who waits.
+    fn compute(self: Box<Self>);
 }
 
-/// Who computes on a thread of his own.
-impl Waiting for oneshot::Sender<Turn> {
-    fn is_left(&self) -> bool {
-        self.is_closed()
-    }
-
-    fn begin(self: Box<Self>, turn: Turn) {
-        // Err: who waited has gone; dropping the turn returns the thread.
-        drop(self.send(turn));
-    }
-}
-
-/// Work for a blocking thread. It begins without a detour through the task that waits for it, so a
-/// thread of the pool does nothing only while nothing waits.
-struct Work<T, F> {
+struct Awaited<T, F> {
     work: F,
     done: oneshot::Sender<Result<T, String>>,
     runtime: Handle,
 }
 
-impl<T: Send + 'static, F: FnOnce() -> T + Send + 'static> Waiting for Work<T, F> {
+impl<T: Send, F: FnOnce() -> T + Send> Work for Awaited<T, F> {
     fn is_left(&self) -> bool {
         self.done.is_closed()
     }
 
-    fn begin(self: Box<Self>, turn: Turn) {
-        let Self { work, done, runtime } = *self;
-        runtime.spawn_blocking(move || {
-            let result = caught(work);
-            drop(turn);
-            // Err: who waited has gone.
-            done.send(result).ok();
-        });
+    fn runtime(&self) -> Handle {
+        self.runtime.clone()
+    }
+
+    fn compute(self: Box<Self>) {
+        // Err: who waited has gone.
+        self.done.send(caught(self.work)).ok();
+    }
+}
+
+impl Waiting {
+    fn is_left(&self) -> bool {
+        match self {
+            Self::Turn(turn) => turn.is_closed(),
+            Self::Work(work) => work.is_left(),
+        }
     }
 }
 
@@ -114,6 +119,8 @@ pub(super) struct Turn {
     lanes: Lanes,
     lane: Lane,
     begun: Instant,
+    /// Whether its end lets the next one begin.
+    serves_next: bool,
 }
 
 impl Lanes {
@@ -129,7 +136,7 @@ impl Lanes {
     /// Waits for a thread.
     pub(super) async fn turn(&self, lane: Lane, tenant: Tenant) -> Turn {
         let (turn, granted) = oneshot::channel();
-        self.enter(lane, tenant, Box::new(turn));
+        self.enter(lane, tenant, Waiting::Turn(turn));
         granted.await.expect("a turn that waits is granted")
     }
 
@@ -142,11 +149,12 @@ impl Lanes {
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Option<Result<T, String>> {
         let (done, result) = oneshot::channel();
-        self.enter(lane, tenant, Box::new(Work { work, done, runtime: Handle::current() }));
+        let work = Box::new(Awaited { work, done, runtime: Handle::current() });
+        self.enter(lane, tenant, Waiting::Work(work));
         result.await.ok()
     }
 
-    fn enter(&self, lane: Lane, tenant: Tenant, waiting: Box<dyn Waiting>) {
+    fn enter(&self, lane: Lane, tenant: Tenant, waiting: Waiting) {
         self.queues().enter(lane, tenant, waiting);
         self.serve();
     }
@@ -156,11 +164,25 @@ impl Lanes {
         self.queues().queues.iter().any(|queue| !queue.order.is_empty())
     }
 
-    /// Grants turns while there are threads.
+    /// Grants turns and begins work while there are threads.
     fn serve(&self) {
+        while let Some((turn, work)) = self.next_work() {
+            work.runtime().spawn_blocking(move || turn.work(work));
+        }
+    }
+
+    /// The next work for a thread of the pool, with its turn. Those who wait for a turn before it
+    /// have theirs. `None` if nothing waits, or no thread is free.
+    fn next_work(&self) -> Option<(Turn, Box<dyn Work>)> {
         loop {
-            let Some((lane, waiting)) = self.queues().next() else { return };
-            waiting.begin(Turn { lanes: self.clone(), lane, begun: Instant::now() });
+            let (lane, waiting) = self.queues().next()?;
+            let (lanes, begun, serves_next) = (self.clone(), Instant::now(), true);
+            let turn = Turn { lanes, lane, begun, serves_next };
+            match waiting {
+                // Err: who waited has gone; dropping the turn returns the thread.
+                Waiting::Turn(granted) => drop(granted.send(turn)),
+                Waiting::Work(work) => return Some((turn, work)),
+            }
         }
     }
 
@@ -171,7 +193,7 @@ impl Lanes {
 
 impl Queue {
     /// Adds work of a tenant. One whose work does not wait yet is served last.
-    fn add(&mut self, tenant: Tenant, work: Box<dyn Waiting>) {
+    fn add(&mut self, tenant: Tenant, work: Waiting) {
         match self.waiting.get_mut(&tenant) {
             Some(own) => own.push_back(work),
             None => {
@@ -182,7 +204,7 @@ impl Queue {
     }
 
     /// Takes the next work, of the tenant that has waited longest for its turn.
-    fn take(&mut self) -> Option<Box<dyn Waiting>> {
+    fn take(&mut self) -> Option<Waiting> {
         let tenant = self.order.pop_front()?;
         let own = self.waiting.get_mut(&tenant)?;
         let work = own.pop_front();
@@ -211,7 +233,7 @@ impl Queue {
 }
 
 impl Queues {
-    fn enter(&mut self, lane: Lane, tenant: Tenant, waiting: Box<dyn Waiting>) {
+    fn enter(&mut self, lane: Lane, tenant: Tenant, waiting: Waiting) {
         let now_s = self.now_s;
         let queue = &mut self.queues[lane as usize];
         if queue.order.is_empty() && queue.running == 0 {
@@ -221,7 +243,7 @@ impl Queues {
     }
 
     /// The work that comes next, if there is a thread for it.
-    fn next(&mut self) -> Option<(Lane, Box<dyn Waiting>)> {
+    fn next(&mut self) -> Option<(Lane, Waiting)> {
         self.queues.iter_mut().for_each(Queue::drop_left);
         if self.free == 0 {
             return None;
@@ -253,10 +275,31 @@ impl fmt::Debug for Turn {
     }
 }
 
+impl Turn {
+    /// Does work, and on the same thread what comes after it: to wake another thread for that would
+    /// take some of its time.
+    fn work(self, work: Box<dyn Work>) {
+        let mut next = Some((self, work));
+        while let Some((turn, work)) = next {
+            work.compute();
+            let lanes = turn.lanes.clone();
+            turn.end();
+            next = lanes.next_work();
+        }
+    }
+
+    /// Returns the thread to who then asks for the next work.
+    fn end(mut self) {
+        self.serves_next = false;
+    }
+}
+
 impl Drop for Turn {
     fn drop(&mut self) {
         self.lanes.queues().leave(self.lane, self.begun.elapsed());
-        self.lanes.serve();
+        if self.serves_next {
+            self.lanes.serve();
+        }
     }
 }
 
