@@ -247,5 +247,6 @@ async fn an_idle_window_holds_little() {
     let points = held_kb("spp", false).await;
     let (raw, window) = (held_kb("spp", true).await, held_kb("fgo", false).await);
     assert!(points <= 50.0 && raw <= 80.0, "spp {points} kB, of raw bytes {raw} kB");
-    assert!(points < window && window <= 135.0, "spp {points} kB, fgo {window} kB");
+    // 117 to 145 kB in nine runs: it depends on the threads whose memory the states are in.
+    assert!(points < window && window <= 160.0, "spp {points} kB, fgo {window} kB");
 }
