@@ -52,7 +52,7 @@ impl WebOrigins {
         Ok(Self(Arc::new(origins)))
     }
 
-    /// Whether there are none.
+    /// Whether the operator lists no origin.
     pub(crate) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -99,8 +99,8 @@ mod tests {
             ("acme".to_owned(), list(&["https://fleet.acme.example", "http://localhost:3000"])),
             ("other".to_owned(), list(&["https://fleet.acme.example"])),
         ]));
-        let origins = origins.unwrap();
-        let tenant = |name| Tenant::parse(name).unwrap();
+        let origins = origins.expect("names of tenants and origins");
+        let tenant = |name| Tenant::parse(name).expect("a name");
         for (origin, acme, other) in [
             ("https://fleet.acme.example", true, true),
             ("http://localhost:3000", true, false),
