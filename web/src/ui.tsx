@@ -2,10 +2,10 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { type Problem, type Reason, type Refusal, problemOf } from "./api";
-import { LOOKS, SHAPES, type State, colourOf } from "./status";
+import { LOOKS, SHAPES, type State, colourOf, isDark } from "./status";
 
 /** Draws again when the theme changes, for colours that scripts set. */
-export function useTheme(): void {
+export function useTheme(): boolean {
   const [, redraw] = useState(0);
   useEffect(() => {
     const changed = () => redraw((n) => n + 1);
@@ -17,6 +17,7 @@ export function useTheme(): void {
       document.removeEventListener("graphfix:theme", changed);
     };
   }, []);
+  return isDark();
 }
 
 /** The symbol of a state, as on maps. */

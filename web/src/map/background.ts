@@ -1,167 +1,169 @@
-/** What lies below a map's layers: tiles or coast lines, a graticule or a grid in metres, and a scale. */
+/** What lies below a map's layers: tiles or coast lines, and meridians and parallels or a grid in metres. */
+import type { FrameState } from "ol/Map";
+import { degreesToStringHDMS } from "ol/coordinate";
+import GeoJSON from "ol/format/GeoJSON";
+import type BaseLayer from "ol/layer/Base";
+import Graticule from "ol/layer/Graticule";
+import Layer from "ol/layer/Layer";
+import TileLayer from "ol/layer/Tile";
+import VectorLayer from "ol/layer/Vector";
+import VectorSource from "ol/source/Vector";
+import XYZ from "ol/source/XYZ";
+import Fill from "ol/style/Fill";
+import Stroke from "ol/style/Stroke";
+import Style from "ol/style/Style";
+import Text from "ol/style/Text";
 import { isDark } from "../status";
-import { drawTiles } from "./tiles";
-import { type LonLat, type View, lonLat, mercator } from "./view";
+import { type LonLat, projected, stretch } from "./layers";
 
 declare const LAND_PATH: string;
 
-const RAD = Math.PI / 180;
-const EARTH_M = 40_075_016.686;
 /** Smallest distance between two lines (px). */
-const SPACING = 90;
-/** Size of the world (px) beyond which coast lines to a tenth of a degree mislead. */
-const LAND_FADES = 16_000;
+const SPACING_PX = 90;
+const FONT = "11px ui-sans-serif, system-ui, sans-serif";
+/** Resolution (m/px at the equator) below which coast lines to a tenth of a degree mislead. */
+const LAND_FROM = 2500;
+/** Resolution from which on a grid in metres is of no use (m/px on the ground). */
+const GRID_TO = 200;
+/** Level of the deepest tiles, and how far they are enlarged; closer there is the grid alone. */
+const DEEPEST = 19;
+const STRETCH = 8;
+
+/** The operator's tiles: what the page names, or nothing. */
+const meta = document.querySelector<HTMLMetaElement>('meta[name="graphfix-tiles"]');
+const TILES = meta?.content ?? "";
+export const ATTRIBUTION = (TILES && meta?.dataset.attribution) || "";
 
 interface Colours {
-  sea: string;
   land: string;
   coast: string;
   line: string;
   axis: string;
   text: string;
+  halo: string;
 }
-const DARK: Colours = { sea: "#0d161d", land: "#17242d", coast: "#2b404d", line: "#1b2a34", axis: "#35505f", text: "#8da3b2" };
-const LIGHT: Colours = { sea: "#eef4f6", land: "#fdfdfb", coast: "#b9cbd2", line: "#d7e2e6", axis: "#a9bfc8", text: "#51626e" };
+const DARK: Colours = { land: "#17242d", coast: "#2b404d", line: "#1b2a34", axis: "#35505f", text: "#8da3b2", halo: "#0d161d" };
+const LIGHT: Colours = { land: "#fdfdfb", coast: "#b9cbd2", line: "#d7e2e6", axis: "#a9bfc8", text: "#51626e", halo: "#eef4f6" };
 
-/** Coast lines as rings of Mercator coordinates; loaded when a map first shows them. */
-let land: [number, number][][] | undefined;
-let loading: Promise<void> | undefined;
-const waiting = new Set<() => void>();
+/** Kept for all maps: it is read once. */
+let land: VectorSource | undefined;
+let tiles: XYZ | undefined;
 
-function loadLand(redraw: () => void): void {
-  waiting.add(redraw);
-  loading ??= fetch(LAND_PATH)
-    .then((answer) => answer.json() as Promise<number[][]>)
-    .then((rings) => {
-      land = rings.map(unrolled);
-      for (const draw of waiting) draw();
-      waiting.clear();
-    })
-    .catch(() => {
-      loading = undefined; // The map works without; the next drawing tries again.
-    });
-}
-
-/** A ring of tenths of degrees in Mercator coordinates, without jumps from one side to the other. */
-function unrolled(ring: number[]): [number, number][] {
-  const points: LonLat[] = [];
-  for (let i = 0; i + 1 < ring.length; i += 2) {
-    let lon = ring[i] / 10;
-    const before = points.at(-1)?.lon ?? lon;
-    lon += 360 * Math.round((before - lon) / 360);
-    points.push({ lon, lat: ring[i + 1] / 10 });
-  }
-  const [first, last] = [points[0], points[points.length - 1]];
-  // A ring around the pole is closed there.
-  if (180 < Math.abs(first.lon - last.lon)) points.push({ lon: last.lon, lat: -90 }, { lon: first.lon, lat: -90 });
-  return points.map(mercator);
-}
-
-export function drawBackground(
-  g: CanvasRenderingContext2D,
-  view: View,
-  anchor: LonLat | undefined,
-  redraw: () => void,
-): void {
+/** The layers below those of a page, in the colours of the present theme; `anchor` is the origin of a grid in metres. */
+export function background(anchor: LonLat | undefined): BaseLayer[] {
   const colours = isDark() ? DARK : LIGHT;
-  g.fillStyle = colours.sea;
-  g.fillRect(0, 0, view.width, view.height);
-  if (view.scale < LAND_FADES) {
-    if (land) drawLand(g, view, colours);
-    else loadLand(redraw);
+  land ??= new VectorSource({ url: LAND_PATH, format: new GeoJSON() });
+  const layers: BaseLayer[] = [new VectorLayer({
+    source: land,
+    minResolution: LAND_FROM,
+    style: new Style({ fill: new Fill({ color: colours.land }), stroke: new Stroke({ color: colours.coast, width: 1 }) }),
+  })];
+  const gridTo = anchor ? GRID_TO * stretch(anchor) : 0;
+  if (TILES) {
+    tiles ??= new XYZ({ url: TILES, maxZoom: DEEPEST, attributions: ATTRIBUTION, referrerPolicy: "origin" });
+    const nearest = (tiles.getTileGrid()?.getResolution(DEEPEST) ?? 0) / STRETCH;
+    layers.push(new TileLayer({ source: tiles, minResolution: nearest }));
+    layers.push(anchor ? new LocalGrid(anchor, colours, nearest) : graticule(colours, 0, nearest));
+  } else {
+    if (anchor) layers.push(new LocalGrid(anchor, colours, gridTo));
+    layers.push(graticule(colours, gridTo, Infinity));
   }
-  g.lineWidth = 1;
-  g.font = "11px ui-sans-serif, system-ui, sans-serif";
-  if (drawTiles(g, view, redraw)) {
-    drawScale(g, view, colours);
-    return;
-  }
-  if (anchor && view.metresPerPixel < 200) drawGrid(g, view, anchor, colours);
-  else drawGraticule(g, view, colours);
-  drawScale(g, view, colours);
+  return layers;
 }
 
-function drawLand(g: CanvasRenderingContext2D, view: View, colours: Colours): void {
-  g.globalAlpha = Math.min(1, (LAND_FADES - view.scale) / (LAND_FADES * 0.4));
-  g.beginPath();
-  for (const shift of [-1, 0, 1]) {
-    const [left] = view.project(shift, 0);
-    if (view.width < left || left + view.scale < 0) continue;
-    for (const ring of land ?? []) {
-      ring.forEach(([x, y], i) => {
-        const [px, py] = view.project(x + shift, y);
-        if (i === 0) g.moveTo(px, py);
-        else g.lineTo(px, py);
-      });
-      g.closePath();
-    }
-  }
-  g.fillStyle = colours.land;
-  g.fill();
-  g.strokeStyle = colours.coast;
-  g.stroke();
-  g.globalAlpha = 1;
-}
-
-/** Steps of the graticule (degrees): whole and parts of degrees, then minutes and seconds. */
+/** Steps of the graticule (degrees): degrees, then minutes, seconds and parts of seconds. */
 const STEPS = [
-  45, 30, 15, 10, 5, 2, 1, 1 / 2, 1 / 4, 1 / 6, 1 / 12, 1 / 30, 1 / 60, 1 / 120, 1 / 240, 1 / 360,
-  1 / 720, 1 / 1800, 1 / 3600, 1 / 7200, 1 / 18_000, 1 / 36_000,
+  45, 30, 15, 10, 5, 2, 1, 1 / 2, 1 / 6, 1 / 12, 1 / 30, 1 / 60, 1 / 120, 1 / 360, 1 / 720, 1 / 1800, 1 / 3600,
+  1 / 7200, 1 / 18_000, 1 / 36_000, 1 / 72_000, 1 / 180_000, 1 / 360_000,
 ];
 
-function drawGraticule(g: CanvasRenderingContext2D, view: View, colours: Colours): void {
-  const perDegree = view.scale / 360;
-  const step = [...STEPS].reverse().find((step) => SPACING <= step * perDegree) ?? STEPS[0];
-  const [left, top] = view.unproject(0, 0);
-  const [right, bottom] = view.unproject(view.width, view.height);
-  const [from, to] = [lonLat(left, bottom), lonLat(right, top)];
-  const label = (degrees: number, positive: string, negative: string) =>
-    angle(Math.abs(degrees), step) + (Math.abs(degrees) < 1e-9 ? "" : degrees < 0 ? negative : positive);
-  for (let n = Math.ceil(from.lon / step); n <= Math.floor(to.lon / step); n += 1) {
-    const [x] = view.at({ lon: n * step, lat: 0 });
-    line(g, x, 0, x, view.height, n === 0 ? colours.axis : colours.line);
-    const lon = ((((n * step + 180) % 360) + 360) % 360) - 180;
-    if (x < view.width - 120) text(g, label(lon, " E", " W"), x + 4, 14, colours);
-  }
-  for (let n = Math.ceil(from.lat / step); n <= Math.floor(to.lat / step); n += 1) {
-    const [, y] = view.at({ lon: 0, lat: n * step });
-    line(g, 0, y, view.width, y, n === 0 ? colours.axis : colours.line);
-    if (24 < y) text(g, label(n * step, " N", " S"), 6, y - 5, colours);
-  }
-}
+/** Degrees, with the minutes and seconds that are not zero. */
+const degreesOf = (degrees: number, hemispheres: string): string =>
+  degreesToStringHDMS(hemispheres, degrees, 2).replace(/\.00″/, "″").replace(/ 00″/, "").replace(/ 00′(?! \d)/, "");
 
-/** Degrees, with the minutes and seconds that the step needs. */
-function angle(degrees: number, step: number): string {
-  if (0.999 < step) return `${Math.round(degrees)}°`;
-  const seconds = Math.round(degrees * 36_000) / 10;
-  const [d, m] = [Math.floor(seconds / 3600), Math.floor((seconds % 3600) / 60)];
-  const s = seconds % 60;
-  const two = (n: number) => String(n).padStart(2, "0");
-  if (1 / 61 < step) return `${d}° ${two(m)}′`;
-  return `${d}° ${two(m)}′ ${step < 1 / 3601 ? s.toFixed(1).padStart(4, "0") : two(Math.round(s))}″`;
+function graticule(colours: Colours, minResolution: number, maxResolution: number): Graticule {
+  const label = (align: Partial<ConstructorParameters<typeof Text>[0]>) => new Text({
+    font: FONT,
+    fill: new Fill({ color: colours.text }),
+    stroke: new Stroke({ color: colours.halo, width: 3 }),
+    ...align,
+  });
+  return new Graticule({
+    strokeStyle: new Stroke({ color: colours.line, width: 1 }),
+    targetSize: SPACING_PX,
+    intervals: STEPS,
+    showLabels: true,
+    wrapX: false,
+    lonLabelPosition: 1,
+    lonLabelStyle: label({ textAlign: "left", textBaseline: "top", offsetX: 4, offsetY: 6 }),
+    lonLabelFormatter: (degrees) => degreesOf(degrees, "EW"),
+    latLabelPosition: 0,
+    latLabelStyle: label({ textAlign: "left", textBaseline: "bottom", offsetX: 6, offsetY: -3 }),
+    latLabelFormatter: (degrees) => degreesOf(degrees, "NS"),
+    minResolution,
+    maxResolution,
+  });
 }
 
 /** A grid in metres east and north of an anchor. */
-function drawGrid(g: CanvasRenderingContext2D, view: View, anchor: LonLat, colours: Colours): void {
-  const perPixel = (EARTH_M * Math.cos(anchor.lat * RAD)) / view.scale;
-  const step = round(SPACING * perPixel);
-  const [x0, y0] = view.at(anchor);
-  const label = (m: number, direction: string) => `${metres(m, step)} ${direction}`;
-  for (let n = Math.ceil((-x0 * perPixel) / step); n * step <= (view.width - x0) * perPixel; n += 1) {
-    const x = x0 + (n * step) / perPixel;
-    line(g, x, 0, x, view.height, n === 0 ? colours.axis : colours.line);
-    if (x < view.width - 100) text(g, n === 0 ? "0" : label(Math.abs(n * step), n < 0 ? "W" : "E"), x + 4, 14, colours);
+class LocalGrid extends Layer {
+  private readonly canvas = document.createElement("canvas");
+
+  constructor(
+    private readonly anchor: LonLat,
+    private readonly colours: Colours,
+    maxResolution: number,
+  ) {
+    super({ maxResolution });
+    Object.assign(this.canvas.style, { position: "absolute", width: "100%", height: "100%" });
   }
-  const lowest = Math.ceil(((y0 - view.height) * perPixel) / step);
-  for (let n = lowest; n * step <= y0 * perPixel; n += 1) {
-    const y = y0 - (n * step) / perPixel;
-    line(g, 0, y, view.width, y, n === 0 ? colours.axis : colours.line);
-    if (24 < y && y < view.height - 34) text(g, n === 0 ? "0" : label(Math.abs(n * step), n < 0 ? "S" : "N"), 6, y - 5, colours);
+
+  override render({ size: [width, height], pixelRatio, viewState: { center, resolution } }: FrameState): HTMLElement {
+    this.canvas.width = Math.round(width * pixelRatio);
+    this.canvas.height = Math.round(height * pixelRatio);
+    const g = this.canvas.getContext("2d");
+    if (!g) return this.canvas;
+    g.scale(pixelRatio, pixelRatio);
+    g.font = FONT;
+    const perPixel = resolution / stretch(this.anchor);
+    const step = roundUp(SPACING_PX * perPixel);
+    const [x, y] = projected(this.anchor);
+    const [x0, y0] = [width / 2 + (x - center[0]) / resolution, height / 2 + (center[1] - y) / resolution];
+    const label = (n: number, [positive, negative]: string) =>
+      n === 0 ? "0" : `${metres(Math.abs(n * step), step)} ${n < 0 ? negative : positive}`;
+    for (let n = Math.ceil((-x0 * perPixel) / step); n * step <= (width - x0) * perPixel; n += 1) {
+      const x = Math.round(x0 + (n * step) / perPixel) + 0.5;
+      this.line(g, [x, 0], [x, height], n === 0);
+      if (x < width - 100) this.text(g, label(n, "EW"), x + 4, 14);
+    }
+    for (let n = Math.ceil(((y0 - height) * perPixel) / step); n * step <= y0 * perPixel; n += 1) {
+      const y = Math.round(y0 - (n * step) / perPixel) + 0.5;
+      this.line(g, [0, y], [width, y], n === 0);
+      if (24 < y && y < height - 34) this.text(g, label(n, "NS"), 6, y - 5);
+    }
+    return this.canvas;
+  }
+
+  private line(g: CanvasRenderingContext2D, from: [number, number], to: [number, number], isAxis: boolean): void {
+    g.strokeStyle = isAxis ? this.colours.axis : this.colours.line;
+    g.lineWidth = 1;
+    g.beginPath();
+    g.moveTo(...from);
+    g.lineTo(...to);
+    g.stroke();
+  }
+
+  private text(g: CanvasRenderingContext2D, words: string, x: number, y: number): void {
+    g.lineWidth = 3;
+    g.strokeStyle = this.colours.halo;
+    g.strokeText(words, x, y);
+    g.fillStyle = this.colours.text;
+    g.fillText(words, x, y);
   }
 }
 
 /** The smallest of 1, 2 and 5 times a power of ten that is no smaller. */
-function round(value: number): number {
+function roundUp(value: number): number {
   const power = 10 ** Math.floor(Math.log10(value));
   return [1, 2, 5, 10].map((factor) => factor * power).find((step) => value <= step * 1.000_001) ?? power * 10;
 }
@@ -171,37 +173,4 @@ function metres(m: number, step: number): string {
   if (1 <= step) return `${Math.round(m)} m`;
   if (0.01 <= step) return `${(m * 100).toFixed(0)} cm`;
   return `${(m * 1000).toFixed(0)} mm`;
-}
-
-function drawScale(g: CanvasRenderingContext2D, view: View, colours: Colours): void {
-  const length = round(70 * view.metresPerPixel);
-  const width = length / view.metresPerPixel;
-  const [x, y] = [14.5, view.height - 14.5];
-  g.strokeStyle = colours.text;
-  g.lineWidth = 1.5;
-  g.beginPath();
-  g.moveTo(x, y - 6);
-  g.lineTo(x, y);
-  g.lineTo(x + width, y);
-  g.lineTo(x + width, y - 6);
-  g.stroke();
-  g.lineWidth = 1;
-  text(g, metres(length, length), x + 5, y - 5, colours);
-}
-
-function line(g: CanvasRenderingContext2D, x1: number, y1: number, x2: number, y2: number, colour: string): void {
-  g.strokeStyle = colour;
-  g.beginPath();
-  g.moveTo(Math.round(x1) + 0.5, Math.round(y1) + 0.5);
-  g.lineTo(Math.round(x2) + 0.5, Math.round(y2) + 0.5);
-  g.stroke();
-}
-
-function text(g: CanvasRenderingContext2D, words: string, x: number, y: number, colours: Colours): void {
-  g.lineWidth = 3;
-  g.strokeStyle = colours.sea;
-  g.strokeText(words, x, y);
-  g.lineWidth = 1;
-  g.fillStyle = colours.text;
-  g.fillText(words, x, y);
 }

@@ -1,8 +1,10 @@
-/** A map as a component: canvas, buttons, and the layers that its page gives. */
+/** A map as a component: the map, its buttons, and the layers that its page gives. */
 import type { ComponentChildren } from "preact";
-import { useEffect, useRef } from "preact/hooks";
-import { ATTRIBUTION } from "./tiles";
-import { type Layer, type LonLat, MapCanvas, type MapOptions } from "./view";
+import { useEffect, useMemo, useRef } from "preact/hooks";
+import { useTheme } from "../ui";
+import { ATTRIBUTION, background } from "./background";
+import type { Layer, LonLat } from "./layers";
+import { type MapOptions, MapView } from "./view";
 
 interface MapProps extends MapOptions {
   label: string;
@@ -13,44 +15,45 @@ interface MapProps extends MapOptions {
   frameKey: string;
   /** The least extent of the map (m). */
   smallestM: number;
+  /** Draw a grid in metres from this point instead of meridians and parallels. */
+  anchor?: LonLat;
   children?: ComponentChildren;
 }
 
-export function Map2d(props: MapProps) {
+export function Map2d({ label, layers, frame, frameKey, smallestM, anchor, children, ...options }: MapProps) {
+  const theme = useTheme();
   const box = useRef<HTMLDivElement>(null);
-  const canvas = useRef<HTMLCanvasElement>(null);
-  const map = useRef<MapCanvas | null>(null);
-  const framed = useRef<{ key: string; frame: LonLat[] }>({ key: "", frame: [] });
+  const target = useRef<HTMLDivElement>(null);
+  const map = useRef<MapView | null>(null);
+  const framed = useRef("");
+  const below = useMemo(() => background(anchor), [anchor?.lon, anchor?.lat, theme]);
 
   useEffect(() => {
-    if (!box.current || !canvas.current) return undefined;
-    const made = new MapCanvas(box.current, canvas.current, {});
+    if (!box.current || !target.current) return undefined;
+    const made = new MapView(box.current, target.current);
     map.current = made;
     return () => made.remove();
   }, []);
-
   useEffect(() => {
-    const { current } = map;
-    if (!current) return;
-    const { anchor, onPick, onHover, calmWheel } = props;
-    current.options = { anchor, onPick, onHover, calmWheel };
-    if (props.frame !== framed.current.frame) {
-      current.frameOn(props.frame, props.smallestM, framed.current.key !== props.frameKey);
-      if (props.frame.length) framed.current = { key: props.frameKey, frame: props.frame };
-    }
-    current.show(props.layers);
+    if (map.current) map.current.options = options;
   });
+  useEffect(() => map.current?.showBelow(below), [below]);
+  useEffect(() => map.current?.show(layers), [layers]);
+  useEffect(() => {
+    map.current?.frame(frame, smallestM, framed.current !== frameKey);
+    if (frame.length) framed.current = frameKey;
+  }, [frame, frameKey]);
 
   return (
-    <div class="map" ref={box} tabIndex={0} role="region" aria-label={`${props.label}. Arrow keys move, plus and minus zoom, 0 shows all.`}>
-      <canvas ref={canvas} aria-hidden="true" />
+    <div class="map" ref={box} tabIndex={0} role="region" aria-label={`${label}. Arrow keys move, plus and minus zoom, 0 shows all.`}>
+      <div class="map-canvas" ref={target} />
       <div class="map-buttons">
-        <button type="button" aria-label="Zoom in" title="Zoom in (+)" onClick={() => map.current?.zoom(1.8)}>+</button>
-        <button type="button" aria-label="Zoom out" title="Zoom out (−)" onClick={() => map.current?.zoom(1 / 1.8)}>−</button>
+        <button type="button" aria-label="Zoom in" title="Zoom in (+)" onClick={() => map.current?.zoom(1)}>+</button>
+        <button type="button" aria-label="Zoom out" title="Zoom out (−)" onClick={() => map.current?.zoom(-1)}>−</button>
         <button type="button" aria-label="Show all" title="Show all (0)" onClick={() => map.current?.fit()}>⤢</button>
       </div>
       {ATTRIBUTION && <p class="map-attribution">{ATTRIBUTION}</p>}
-      {props.children}
+      {children}
     </div>
   );
 }

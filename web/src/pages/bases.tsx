@@ -2,7 +2,7 @@
 import { useMemo } from "preact/hooks";
 import { type Base, type Network, type Refusal, bases } from "../api";
 import { useLive } from "../live";
-import { BaseMarkers } from "../map/layers";
+import { baseStations } from "../map/layers";
 import { Map2d } from "../map/map";
 import { ago, bytes, count, duration, length } from "../time";
 import { Because, Copyable, Empty, type Health, Lamp, Loading, ProblemBox, useTheme } from "../ui";
@@ -26,10 +26,10 @@ function health(base: Base): { health: Health; words: string } {
 }
 
 export function BasesPage() {
-  useTheme();
+  const theme = useTheme();
   const live = useLive("bases", bases, 3000);
   const sites = useMemo(() => sitesOf(live.value?.bases ?? []), [live.value]);
-  const layers = useMemo(() => [new BaseMarkers(sites)], [sites]);
+  const layers = useMemo(() => [baseStations(sites)], [sites, theme]);
   const frame = useMemo(() => sites.map(({ at }) => at), [sites]);
   if (!live.value) {
     return <div class="page"><h1>Bases</h1>{live.problem ? <ProblemBox problem={live.problem} what="The bases cannot be loaded" /> : <Loading what="the bases" />}</div>;

@@ -3,7 +3,7 @@ import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { bases } from "../api";
 import { type Fleet, type Seen, useFleet } from "../fleet";
 import { useLive } from "../live";
-import { BaseMarkers, Markers } from "../map/layers";
+import { baseStations, ringAround, sessions } from "../map/layers";
 import { Map2d } from "../map/map";
 import { LOOKS, STATES, type State, lostAfterS, setLostAfterS, stateOf } from "../status";
 import { ago, count, duration } from "../time";
@@ -60,6 +60,11 @@ export function FleetPage() {
       .sort((a, b) => urgency(a.state) - urgency(b.state)); // And by name, as they come.
   }, [devices, text, chosen]);
 
+  const sites = useMemo(() => (stations.value?.bases ?? []).flatMap((base) => {
+    const at = siteOf(base);
+    return at ? [{ id: `base:${base.base}`, at, label: base.label || "base" }] : [];
+  }), [stations.value]);
+
   const toggle = (state: State) => {
     const next = new Set(chosen);
     if (!next.delete(state)) next.add(state);
@@ -79,10 +84,6 @@ export function FleetPage() {
     );
   }
   if (devices.length === 0) return <NoSessions />;
-  const sites = (stations.value?.bases ?? []).flatMap((base) => {
-    const at = siteOf(base);
-    return at ? [{ id: `base:${base.base}`, at, label: base.label || "base" }] : [];
-  });
   return (
     <div class="fleet">
       <div class="fleet-top">
@@ -201,22 +202,23 @@ interface FleetMapProps {
 }
 
 function FleetMap({ devices, sites, lostAfterS, hovered, onHover }: FleetMapProps) {
-  const { placed, markers, frame } = useMemo(() => {
-    const placed = devices.flatMap(({ head: { session, position }, state, name }) =>
-      position ? [{ id: session, at: { lon: position.longitudeDeg, lat: position.latitudeDeg }, state, label: name }] : [],
-    );
-    const frame = placed.length ? placed.map(({ at }) => at) : sites.map(({ at }) => at);
-    return { placed, markers: new Markers(placed), frame };
-  }, [devices]);
-  markers.selected = hovered;
-  const layers = [new BaseMarkers(sites), markers];
+  const theme = useTheme();
+  const placed = useMemo(() => devices.flatMap(({ head: { session, position }, state, name }) =>
+    position ? [{ id: session, at: { lon: position.longitudeDeg, lat: position.latitudeDeg }, state, label: name }] : [],
+  ), [devices]);
+  const frame = useMemo(() => (placed.length ? placed : sites).map(({ at }) => at), [placed, sites]);
+  const below = useMemo(() => baseStations(sites), [sites, theme]);
+  const above = useMemo(() => sessions(placed), [placed, theme]);
+  const marked = placed.find(({ id }) => id === hovered);
+  const ring = useMemo(() => (marked ? [ringAround(marked, placed.length)] : []), [marked, theme]);
+  const layers = useMemo(() => [below, above, ...ring], [below, above, ring]);
   const pick = (id: string | undefined) => {
     if (id && !id.startsWith("base:")) location.hash = `#/sessions/${id}`;
     else if (id) location.hash = "#/bases";
   };
   const device = hovered ? devices.find(({ head }) => head.session === hovered) : undefined;
   return (
-    <Map2d label="Map of the fleet" layers={layers} frame={frame} frameKey="fleet" smallestM={400} onPick={pick} onHover={(id) => onHover(id)}>
+    <Map2d label="Map of the fleet" layers={layers} frame={frame} frameKey="fleet" smallestM={400} onPick={pick} onHover={onHover}>
       {device && (
         <div class="map-note"><Badge state={device.state} /> <b>{device.name}</b> <span class="small">{device.head.mode} · {ageOf(device, lostAfterS)}</span></div>
       )}

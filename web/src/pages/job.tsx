@@ -6,9 +6,8 @@ import { Bar, setDraft } from "../jobs/new";
 import { type Row, horizontalSigma, load, thinned } from "../jobs/result";
 import { JobLamp, answerOf, left, nameOf, ranFor, when } from "../jobs/state";
 import { useEvents, useLive } from "../live";
-import { ChosenEpoch, Track, type TrackPoint } from "../map/layers";
+import { type Layer, type TrackPoint, chosenEpoch, track } from "../map/layers";
 import { Map2d } from "../map/map";
-import type { Layer } from "../map/view";
 import { Plots } from "../plots";
 import { useRight } from "../rights";
 import { LOOKS, colourOf, isDark, lookState } from "../status";
@@ -247,13 +246,13 @@ function ResultMap({ series, row, truth, frameKey, onPick }: ResultMapProps) {
   const frame = useMemo(() => points.map(({ at }) => at), [points]);
   const theme = isDark();
   const layers = useMemo(() => {
-    const list: Layer[] = [new Track(points, { line: theme ? "#3d5566" : "#b4c6d0", dots: true })];
+    const list: Layer[] = [track(points, { color: theme ? "#3d5566" : "#b4c6d0", width: 1 }, true)];
     if (truth) list.push(truthLayer(truth, series.intervals.map(({ time }) => ({ unix: unixS(time) }))));
     if (row && Number.isFinite(row.latDeg)) {
       const known = (value: number) => (Number.isFinite(value) ? value : 0);
       const covariance = { ee: known(row.sigmaEastM) ** 2, en: known(row.eastNorthM2), nn: known(row.sigmaNorthM) ** 2 };
       const protection = Number.isFinite(row.horizontalProtectionM) ? row.horizontalProtectionM : null;
-      list.push(new ChosenEpoch({ lon: row.lonDeg, lat: row.latDeg }, lookState(row.status), covariance, protection));
+      list.push(chosenEpoch({ lon: row.lonDeg, lat: row.latDeg }, lookState(row.status), covariance, protection));
     }
     return list;
   }, [points, row, truth, theme]);

@@ -7,9 +7,8 @@ import {
 import { Delays } from "../delay";
 import { Plots } from "../plots";
 import { type Live, useLive } from "../live";
-import { BaseMarkers, BaselineLine, ChosenEpoch, Track, type TrackPoint } from "../map/layers";
+import { type Layer, type LonLat, type TrackPoint, baseStations, baseline, chosenEpoch, track } from "../map/layers";
 import { Map2d } from "../map/map";
-import type { Layer, LonLat } from "../map/view";
 import { Residuals } from "../residuals";
 import { useRight } from "../rights";
 import { SatelliteTable, SkyLegend, SkyPlot } from "../sky";
@@ -272,18 +271,18 @@ function SessionMap({ id, tracks, shown, bases, truth, spanKey, onPick }: Sessio
     const base = bases.find(({ base }) => base === solution?.provenance.base?.base);
     const site = base && siteOf(base);
     const at = solution?.position && { lon: solution.position.geodetic.longitudeDeg, lat: solution.position.geodetic.latitudeDeg };
-    if (site && at) list.push(new BaselineLine(site, at));
-    if (site && base) list.push(new BaseMarkers([{ id: base.base, at: site, label: base.label || "base" }]));
+    if (site && at) list.push(baseline(site, at));
+    if (site && base) list.push(baseStations([{ id: base.base, at: site, label: base.label || "base" }]));
     // Between epochs far apart a line only hints at the way.
     const coarse = 4 < (tracks?.causal.intervalLengthS ?? 0);
     const strong = theme ? "#c9d8e2" : "#33505f";
-    if (revision === "both") list.push(new Track(revised, { line: coarse ? line : strong, dots: false, width: coarse ? 1 : 1.6 }));
-    if (revision !== "last") list.push(new Track(causal, { line: revision === "both" ? "transparent" : line, dots: true }));
-    if (revision === "last") list.push(new Track(revised, { line, dots: true }));
+    if (revision === "both") list.push(track(revised, { color: coarse ? line : strong, width: coarse ? 1 : 1.6 }, false));
+    if (revision !== "last") list.push(track(causal, { color: revision === "both" ? "transparent" : line, width: 1 }, true));
+    if (revision === "last") list.push(track(revised, { color: line, width: 1 }, true));
     if (truth && tracks) list.push(truthLayer(truth, epochsOf(tracks.causal)));
     const cov = solution?.position?.covarianceEnuM2;
     if (solution && at && cov) {
-      list.push(new ChosenEpoch(at, lookState(solution.status), { ee: cov.firstFirst, en: cov.firstSecond, nn: cov.secondSecond }, solution.horizontalProtectionM));
+      list.push(chosenEpoch(at, lookState(solution.status), { ee: cov.firstFirst, en: cov.firstSecond, nn: cov.secondSecond }, solution.horizontalProtectionM));
     }
     return list;
   }, [causal, revised, revision, shown, bases, truth, theme]);

@@ -1,6 +1,6 @@
 /** Where a base stands. */
 import type { Base, Ecef } from "../api";
-import type { LonLat } from "../map/view";
+import type { LonLat } from "../map/layers";
 
 const A = 6_378_137;
 const F = 1 / 298.257_223_563;

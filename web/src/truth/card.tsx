@@ -2,7 +2,7 @@
 import { useMemo, useRef, useState } from "preact/hooks";
 import { type GpsTime, Problem } from "../api";
 import { AMBER, BLUE, Chart, metres, pointInterval } from "../chart";
-import { TruthTrack } from "../map/layers";
+import { type Layer, truthTrack } from "../map/layers";
 import { bytes, count, gpsTime, length, utc } from "../time";
 import { Figure, ProblemBox, Segments } from "../ui";
 import { type Epoch, type EpochError, type TruthRow, errorsOf, grouped, lonLatOf, readTruth, statisticsOf, trackOf, weekOf } from "./compare";
@@ -152,9 +152,9 @@ function ErrorChart({ errors, ...chart }: ErrorChartProps) {
 }
 
 /** The track of the truth in the span of these positions, as a layer of a map. */
-export function truthLayer({ rows }: Truth, [first, ...others]: { unix: number }[]): TruthTrack {
+export function truthLayer({ rows }: Truth, [first, ...others]: { unix: number }[]): Layer {
   const [from, to] = first ? [first.unix, (others.at(-1) ?? first).unix] : [0, 0];
-  return new TruthTrack(trackOf(rows, from, to, POINTS).map(({ at }) => lonLatOf(at)));
+  return truthTrack(trackOf(rows, from, to, POINTS).map(({ at }) => lonLatOf(at)));
 }
 
 export function TruthLegend({ truth }: { truth: Truth | undefined }) {
