@@ -1,6 +1,8 @@
 //! Many `fgo` sessions on one desk, without a network: the first answers after a crash under load,
 //! the time to stop with all states dirty, and the cost of an epoch when not all sessions fit in
-//! memory. The database is a SQLite file; the crash is a copy of its files.
+//! memory. The database is a SQLite file in a temporary folder, or two databases of its own on the
+//! Postgres server that `GRAPHFIX_BENCH_POSTGRES` names. The crash is a copy of the database while
+//! it is used.
 //!
 //! `GRAPHFIX_BENCH_SESSIONS=10000 GRAPHFIX_BENCH_EPOCHS=64 cargo bench --bench recovery`
 //!
@@ -9,7 +11,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
@@ -21,6 +23,8 @@ use graphfix::gnss::{Ephemeris, Epoch, Navigation};
 use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::{BaseChoice, Store};
+use sqlx::{AssertSqlSafe, Connection, PgConnection};
+use tempfile::TempDir;
 
 /// The allocator of the program.
 #[global_allocator]
@@ -37,6 +41,8 @@ const EPOCHS_MAX: u64 = 256;
 const LIVE: u64 = 8;
 /// Time between two ephemerides of the stream, if no other is given (ms).
 const STREAM_MS: u64 = 100;
+/// Time in which a desk has new connections after they were broken.
+const RECONNECTS_WITHIN: Duration = Duration::from_secs(6);
 /// Rounds of one epoch for each session.
 const ROUNDS: u64 = 3;
 /// Of the sessions, those that fit in memory: 4096 of 10,000, as by default.
@@ -148,10 +154,72 @@ fn resident_mb() -> u64 {
     line.split_whitespace().nth(1).and_then(|kb| kb.parse::<u64>().ok()).unwrap_or(0) / 1_024
 }
 
-fn copy(from: &Path, to: &Path) {
-    for suffix in ["", "-wal"] {
-        let named = |path: &Path| format!("{}{suffix}", path.display());
-        fs::copy(named(from), named(to)).expect("the files of the database are copied");
+/// Where the databases are: the live one, and the one that the crash leaves.
+enum Place {
+    Folder(TempDir),
+    Server(String),
+}
+
+const LIVE_DATABASE: &str = "graphfix_bench_live";
+const CRASHED_DATABASE: &str = "graphfix_bench_crashed";
+
+impl Place {
+    fn of_environment() -> Self {
+        match std::env::var("GRAPHFIX_BENCH_POSTGRES") {
+            Ok(url) => Self::Server(url),
+            Err(_) => Self::Folder(tempfile::tempdir().expect("the folder is writable")),
+        }
+    }
+
+    fn file(folder: &TempDir, database: &str) -> PathBuf {
+        folder.path().join(format!("{database}.db"))
+    }
+
+    fn url(&self, database: &str) -> String {
+        match self {
+            Self::Folder(folder) => format!("sqlite://{}", Self::file(folder, database).display()),
+            Self::Server(url) => {
+                let (server, _) = url.rsplit_once('/').expect("the URL names a database");
+                format!("{server}/{database}")
+            }
+        }
+    }
+
+    /// Makes an empty live database, where databases are made.
+    async fn prepare(&self) {
+        let drop = |name| format!("DROP DATABASE IF EXISTS {name} WITH (FORCE)");
+        let create = format!("CREATE DATABASE {LIVE_DATABASE}");
+        self.execute(&[drop(LIVE_DATABASE), drop(CRASHED_DATABASE), create]).await;
+    }
+
+    /// Copies the live database as a crash would leave it: on Postgres its connections are broken,
+    /// because one that is used cannot be copied.
+    async fn crash(&self) {
+        if let Self::Folder(folder) = self {
+            for suffix in ["", "-wal"] {
+                let named = |name| format!("{}{suffix}", Self::file(folder, name).display());
+                let copied = fs::copy(named(LIVE_DATABASE), named(CRASHED_DATABASE));
+                copied.expect("the files of the database are copied");
+            }
+        }
+        let allow =
+            |is_allowed| format!("ALTER DATABASE {LIVE_DATABASE} ALLOW_CONNECTIONS {is_allowed}");
+        let end = format!(
+            "SELECT pg_terminate_backend(pid, 5000) FROM pg_stat_activity \
+             WHERE datname = '{LIVE_DATABASE}'"
+        );
+        let copy = format!("CREATE DATABASE {CRASHED_DATABASE} TEMPLATE {LIVE_DATABASE}");
+        self.execute(&[allow(false), end, copy, allow(true)]).await;
+    }
+
+    /// Executes statements at the server, if there is one.
+    async fn execute(&self, statements: &[String]) {
+        let Self::Server(url) = self else { return };
+        let mut server = PgConnection::connect(url).await.expect("the server answers");
+        for statement in statements {
+            let executed = sqlx::query(AssertSqlSafe(statement.as_str())).execute(&mut server);
+            executed.await.unwrap_or_else(|error| panic!("{statement}: {error}"));
+        }
     }
 }
 
@@ -210,13 +278,12 @@ fn main() {
 }
 
 async fn measure(count: usize) {
-    let folder = tempfile::tempdir().expect("the temporary folder is writable");
+    let place = Place::of_environment();
+    place.prepare().await;
     let drive = Arc::new(drive());
     let observations = drive.epochs[0].observations.len();
     println!("{count} fgo sessions, {observations} observations an epoch");
-    let (live, crashed) = (folder.path().join("live.db"), folder.path().join("crashed.db"));
-    let url = |file: &Path| format!("sqlite://{}", file.display());
-    let (store, sessions, aiding) = desk(&url(&live), &drive, count).await;
+    let (store, sessions, aiding) = desk(&place.url(LIVE_DATABASE), &drive, count).await;
     let ids = created(&sessions, count).await;
     let start = Instant::now();
     let filling = each(count, CONCURRENT, |index| {
@@ -249,7 +316,9 @@ async fn measure(count: usize) {
         aiding.navigation.current().push,
         resident_mb(),
     );
-    copy(&live, &crashed);
+    place.crash().await;
+    // On Postgres the desk opens its connections again, which is not what is measured.
+    tokio::time::sleep(RECONNECTS_WITHIN).await;
 
     let start = Instant::now();
     sessions.drain().await;
@@ -257,7 +326,7 @@ async fn measure(count: usize) {
     store.close().await;
     drop(sessions);
 
-    let (store, sessions, _) = desk(&url(&crashed), &drive, count).await;
+    let (store, sessions, _) = desk(&place.url(CRASHED_DATABASE), &drive, count).await;
     storm(&sessions, &drive, &ids).await;
     println!("round robin, all fit:");
     let fitting = round_robin(&sessions, &drive, &ids, 1).await;
@@ -266,7 +335,7 @@ async fn measure(count: usize) {
     drop(sessions);
 
     let room = (FITTING * count as f64) as usize;
-    let (store, sessions, _) = desk(&url(&crashed), &drive, room).await;
+    let (store, sessions, _) = desk(&place.url(CRASHED_DATABASE), &drive, room).await;
     each(count, CONCURRENT, |index| {
         let (sessions, drive, id) = (&sessions, &drive, &ids[index]);
         let seq = drive.filled(index) + ROUNDS + 1;
@@ -278,4 +347,6 @@ async fn measure(count: usize) {
     println!("  {:.2} times the cost", cost / fitting);
     sessions.drain().await;
     store.close().await;
+    let drop = |name| format!("DROP DATABASE {name} WITH (FORCE)");
+    place.execute(&[drop(LIVE_DATABASE), drop(CRASHED_DATABASE)]).await;
 }
