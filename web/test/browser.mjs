@@ -243,6 +243,28 @@ async function signInIsAsked() {
   await page.context().close();
 }
 
+/** The track lies within its map, and is the largest thing on it. */
+async function trackIsFramed(page, form) {
+  const framed = () => page.evaluate(() => {
+    const parts = [];
+    for (const canvas of document.querySelectorAll(".map canvas")) {
+      const { width, height } = canvas;
+      const pixels = canvas.getContext("2d").getImageData(0, 0, width, height).data;
+      for (let i = 0; i < pixels.length; i += 4) {
+        // Green, as a fixed position is in both themes.
+        const [r, g, b] = pixels.subarray(i, i + 3);
+        if (pixels[i + 3] === 255 && r + 60 < g && b + 20 < g) parts.push([((i / 4) % width) / width, Math.floor(i / 4 / width) / height]);
+      }
+    }
+    const [x, y] = [0, 1].map((n) => parts.map((at) => at[n])).map((values) => values.sort((a, b) => a - b));
+    return { count: parts.length, x: [x[0], x.at(-1)], y: [y[0], y.at(-1)] };
+  });
+  await until(`the track is framed, ${form}`, 10, async () => {
+    const { count, x, y } = await framed();
+    return 100 < count && 0.02 < x[0] && x[1] < 0.98 && 0.02 < y[0] && y[1] < 0.98 && 0.3 < x[1] - x[0];
+  });
+}
+
 async function screenshots(address) {
   const surveyor = (await heads(address)).find(({ label }) => label.startsWith("surveyor"));
   const van = (await heads(address)).find(({ label }) => label.startsWith("delivery van"));
@@ -254,10 +276,12 @@ async function screenshots(address) {
   ];
   for (const form of FORMS) {
     for (const [name, path, sign] of pages) {
-      const page = await open(address, form.options);
+      // Pixels are read by the test alone.
+      const page = await open(address, form.options, ["willReadFrequently"]);
       await page.goto(`${address}/${path}`);
       await page.locator(sign).first().waitFor();
       await page.waitForTimeout(1500);
+      if (name === "session") await trackIsFramed(page, form.name);
       await capture(page, name, form);
       await page.context().close();
     }

@@ -123,6 +123,7 @@ class LocalGrid extends Layer {
     this.canvas.height = Math.round(height * pixelRatio);
     const g = this.canvas.getContext("2d");
     if (!g) return this.canvas;
+    g.save();
     g.scale(pixelRatio, pixelRatio);
     g.font = FONT;
     const perPixel = resolution / stretch(this.anchor);
@@ -141,6 +142,7 @@ class LocalGrid extends Layer {
       this.line(g, [0, y], [width, y], n === 0);
       if (24 < y && y < height - 34) this.text(g, label(n, "NS"), 6, y - 5);
     }
+    g.restore(); // The next layer may draw on this canvas, too.
     return this.canvas;
   }
 

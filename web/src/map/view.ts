@@ -65,7 +65,7 @@ export class MapView {
   }
 
   remove(): void {
-    this.map.setLayers([]);
+    this.showBelow([]);
     this.map.setTarget(undefined);
     this.map.dispose();
   }
@@ -76,9 +76,10 @@ export class MapView {
     this.layers = layers;
   }
 
-  /** Shows what lies below them. */
+  /** Shows what lies below them. What lay there before is disposed of: its sources outlive it, and would keep it. */
   showBelow(below: BaseLayer[]): void {
     this.replace(this.below, below, -below.length);
+    for (const layer of this.below) if (!below.includes(layer)) layer.dispose();
     this.below = below;
   }
 
@@ -107,7 +108,9 @@ export class MapView {
     // A small map keeps half of itself for what it shows.
     const [top, right, bottom, left] = ROOM_PX;
     const [across, up] = [Math.min(1, width / 2 / (left + right)), Math.min(1, height / 2 / (top + bottom))];
-    this.view.fit(this.framed, { padding: [top * up, right * across, bottom * up, left * across] });
+    // The view learns the size of its map later than this may be called.
+    const size = [width, height];
+    this.view.fit(this.framed, { size, padding: [top * up, right * across, bottom * up, left * across] });
   }
 
   /** Zooms by so many levels, each twice as near. */
@@ -118,14 +121,15 @@ export class MapView {
 
   /** The nearest thing with an id, if it is in reach. */
   private picked(coordinate: Coordinate): string | undefined {
-    const reach = REACH_PX * (this.view.getResolution() ?? 0);
-    let [best, nearest] = [undefined as string | undefined, reach];
+    let best: string | undefined;
+    let nearest = REACH_PX * (this.view.getResolution() ?? 0);
     for (const layer of this.layers) {
       const feature = layer.getSource()?.getClosestFeatureToCoordinate(coordinate, (feature) => feature.getId() !== undefined);
       const [x, y] = feature?.getGeometry()?.getClosestPoint(coordinate) ?? [Infinity, Infinity];
       const distance = Math.hypot(x - coordinate[0], y - coordinate[1]);
       if (nearest < distance) continue;
-      [best, nearest] = [String(feature?.getId()), distance];
+      best = String(feature?.getId());
+      nearest = distance;
     }
     return best;
   }
