@@ -104,7 +104,7 @@ pub async fn open(
     }
     let nodes = cluster.map(|cluster| nodes(cluster, &configuration.cluster)).transpose()?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
-    let desks = (store.clone(), aiding.clone());
+    let desks = (store.clone(), aiding.clone(), sessions.meters().clone());
     let jobs = match Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await {
         Ok(jobs) => jobs,
         Err(error) => {

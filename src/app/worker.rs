@@ -32,8 +32,8 @@ pub async fn open_worker(
     let store = Store::open_existing(database).await?;
     let meters = Meters::default();
     let quotas = TenantQuotas::open(store.clone(), meters.clone()).await?;
-    let lane = BatchLane::alone(jobs.running, meters);
-    let stored = (store.clone(), aiding_limits(limits));
+    let lane = BatchLane::alone(jobs.running, meters.clone());
+    let stored = (store.clone(), aiding_limits(limits), meters);
     let worker = Worker::start(stored, (lane, connector), jobs.clone(), node, geoid).await?;
     Ok(WorkerApp { store, quotas, worker })
 }

@@ -45,6 +45,9 @@ enum Act {
         /// Bytes of stored epochs and solutions, approximately.
         #[arg(long, value_name = "BYTES")]
         stored_bytes: Option<u64>,
+        /// Bytes of the files of jobs and uploads.
+        #[arg(long, value_name = "BYTES")]
+        job_bytes: Option<u64>,
     },
     /// Lists all tenants in order of their names, with what they have stored and may use.
     List,
@@ -81,10 +84,12 @@ pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
 /// Does one act; returns what to print.
 async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
     match act {
-        Act::Set { tenant, sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } => {
+        Act::Set { tenant, sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } => {
             let most = |number: Option<u64>| number.map(|number| number.min(MOST as u64));
             let (sessions, stored_bytes) = (most(sessions), most(stored_bytes));
-            let quotas = Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes };
+            let job_bytes = most(job_bytes);
+            let quotas =
+                Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
             let info = tenants.set(&tenant, &quotas, None, &author()).await?;
             Ok(line(&info))
         }
@@ -103,15 +108,17 @@ async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
 /// A tenant as a line. What it uses at present only its service knows.
 fn line(info: &TenantInfo) -> String {
     let TenantInfo { tenant, quotas, stored, .. } = info;
-    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = quotas;
+    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
     let of = |limit: Option<String>| limit.map_or(String::new(), |limit| format!(" of {limit}"));
     let limit = |limit: Option<u64>| of(limit.map(|limit| limit.to_string()));
     let mut line = format!(
-        "{tenant}: {} sessions{}, {} bytes{}",
+        "{tenant}: {} sessions{}, {} bytes{}, {} bytes of jobs{}",
         stored.sessions,
         limit(*sessions),
         stored.stored_bytes,
-        limit(*stored_bytes)
+        limit(*stored_bytes),
+        stored.job_bytes,
+        limit(*job_bytes)
     );
     let rates = [(epochs_per_s, "epochs a second"), (cpu_s_per_minute, "s of processor a minute")];
     for (rate, unit) in rates {

@@ -248,6 +248,7 @@ impl From<JobError> for Refusal {
             JobError::Session(SessionError::Store(error)) => return error.into(),
             JobError::Session(error) => return Self::from(error).within("options"),
             JobError::Store(error) => return error.into(),
+            JobError::Quota(error) => return error.into(),
             JobError::NotFound { .. }
             | JobError::NotEnded { .. }
             | JobError::WithoutResult { .. } => Some("job"),

@@ -1,7 +1,7 @@
 //! Files that arrive, until they are stored under the hash of their content.
 //!
 //! What does not become an input leaves nothing: neither a file nor bytes in the space of all
-//! files.
+//! files or in the quota of the tenant.
 
 use std::fs;
 use std::path::PathBuf;
@@ -13,11 +13,13 @@ use tokio::sync::OwnedSemaphorePermit;
 use uuid::Uuid;
 
 use super::JobError;
+use super::allowance::Allowance;
 use super::files::{JobFiles, StoredFile};
 
 /// Files that arrive together. One that does not become a job leaves nothing.
 pub struct Upload {
     files: Arc<JobFiles>,
+    allowance: Arc<Allowance>,
     begun: usize,
     /// `None` if the service fetches the files itself.
     _permit: Option<OwnedSemaphorePermit>,
@@ -31,11 +33,15 @@ pub struct ArrivingFile {
     leftover: Leftover,
 }
 
-/// A file and its bytes in the quota, both of which are given up on drop.
+/// A file and its bytes in the space of all files and in the tenant's quota, all of which are given
+/// up on drop.
 struct Leftover {
     files: Arc<JobFiles>,
+    allowance: Arc<Allowance>,
     path: PathBuf,
     bytes: u64,
+    /// Bytes of the tenant's quota.
+    taken: u64,
 }
 
 impl Upload {
@@ -43,14 +49,14 @@ impl Upload {
     ///
     /// # Errors
     /// As many uploads arrive as allowed.
-    pub(super) fn begin_at(files: &Arc<JobFiles>) -> Result<Self, JobError> {
-        let permit = files.permit()?;
-        Ok(Self { files: files.clone(), begun: 0, _permit: Some(permit) })
+    pub(super) fn begin_at(files: &Arc<JobFiles>, allowance: Allowance) -> Result<Self, JobError> {
+        let permit = Some(files.permit()?);
+        Ok(Self { _permit: permit, ..Self::fetch_to(files, allowance) })
     }
 
     /// Begins to fetch files to a folder. It takes no part of the uploads.
-    pub(super) fn fetch_to(files: &Arc<JobFiles>) -> Self {
-        Self { files: files.clone(), begun: 0, _permit: None }
+    pub(super) fn fetch_to(files: &Arc<JobFiles>, allowance: Allowance) -> Self {
+        Self { files: files.clone(), allowance: Arc::new(allowance), begun: 0, _permit: None }
     }
 
     /// Begins a file.
@@ -83,7 +89,8 @@ impl Upload {
         let path = self.files.arriving(&Uuid::new_v4().simple().to_string());
         let file = File::create_new(&path).await;
         let file = file.map_err(JobError::disk("creating the file of an upload"))?;
-        let leftover = Leftover { files: self.files.clone(), path, bytes: 0 };
+        let (files, allowance) = (self.files.clone(), self.allowance.clone());
+        let leftover = Leftover { files, allowance, path, bytes: 0, taken: 0 };
         Ok(ArrivingFile {
             files: self.files.clone(),
             file,
@@ -97,12 +104,14 @@ impl ArrivingFile {
     /// Appends bytes.
     ///
     /// # Errors
-    /// The file, or all files together, exceed their limit, or the disk fails.
+    /// The file, those of the tenant or all files together exceed their limit, or the disk fails.
     pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
         let (more, limit) = (bytes.len() as u64, self.files.limits().file_bytes);
         if limit < self.leftover.bytes + more {
             return Err(JobError::FileTooLarge { limit });
         }
+        self.leftover.allowance.take(more)?;
+        self.leftover.taken += more;
         self.files.reserve(more)?;
         self.leftover.bytes += more;
         self.hasher.update(bytes);
@@ -121,6 +130,7 @@ impl ArrivingFile {
         let hash = self.hasher.finalize().to_hex().to_string();
         let (path, bytes) = (self.leftover.path.clone(), self.leftover.bytes);
         let (stored, is_new) = self.files.store(path, hash, bytes).await?;
+        self.leftover.taken = 0; // A job is to name it, whether or not it has the bytes alone.
         if is_new {
             self.leftover.bytes = 0; // It stays.
         }
@@ -133,5 +143,6 @@ impl Drop for Leftover {
         // Err: it is stored under its hash.
         fs::remove_file(&self.path).ok();
         self.files.release(self.bytes);
+        self.allowance.give_back(self.taken);
     }
 }

@@ -9,6 +9,7 @@ use crate::aiding::AidingDesk;
 use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
+use crate::quotas::Meters;
 use crate::session::{BatchLane, SessionError};
 use crate::store::{Act, Author, JobRow, JobState, NewJob, Page, Store, StoreError};
 use crate::tenant::Tenant;
@@ -68,7 +69,7 @@ impl Jobs {
     /// # Errors
     /// The store or the folder cannot be read, or another node of the cluster has another folder.
     pub async fn open(
-        (store, aiding): (Store, AidingDesk),
+        (store, aiding, meters): (Store, AidingDesk, Meters),
         (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         node: String,
@@ -91,7 +92,7 @@ impl Jobs {
         };
         let mut tasks = JoinSet::new();
         let (running, is_on) = (limits.running, files.is_some());
-        let stored = (store, Aiding::Service(Box::new(aiding)));
+        let stored = (store, Aiding::Service(Box::new(aiding)), meters);
         let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
         let desk = Arc::new(desk);
         if is_on {
@@ -113,12 +114,12 @@ impl Jobs {
     /// Begins an upload of files.
     ///
     /// # Errors
-    /// The service takes no jobs, as many uploads or jobs as allowed are on their way, or the store
-    /// fails.
+    /// The service takes no jobs, as many uploads or jobs as allowed are on their way, the tenant
+    /// has used its quota of bytes, or the store fails.
     pub async fn upload(&self) -> Result<Upload, JobError> {
         let files = self.desk.files()?;
         self.check_waiting().await?;
-        Upload::begin_at(files)
+        Upload::begin_at(files, self.desk.allowance(&self.tenant).await?)
     }
 
     /// Queues a job. Returns it, and whether it is new: a repetition with the same idempotency key
@@ -126,8 +127,8 @@ impl Jobs {
     ///
     /// # Errors
     /// A part is missing, an option does not exist or does not fit, the tenant has no such session,
-    /// a URL is not allowed, there are more files than allowed, another request had this
-    /// idempotency key, or the store fails.
+    /// a URL is not allowed, there are more files than allowed, the tenant has used its quota of
+    /// bytes, another request had this idempotency key, or the store fails.
     pub async fn submit(&self, submission: Submission) -> Result<(JobInfo, bool), JobError> {
         let Submission { mut options, files, urls, webhook, idempotency_key } = submission;
         let connector = self.desk.connector.of(&self.tenant);
@@ -159,6 +160,7 @@ impl Jobs {
         request.session = self.session_input(&request).await?;
         self.desk.plan(&request)?;
         self.check_waiting().await?;
+        self.desk.allowance(&self.tenant).await?; // Its result needs room, too.
         let new = NewJob {
             tenant: self.tenant.clone(),
             id: JobId::random().to_string(),

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::config::ConfigError;
 use crate::feeds::FetchError;
 use crate::gnss::FrameRefusal;
+use crate::quotas::QuotaError;
 use crate::refusal::Code;
 use crate::session::SessionError;
 use crate::store::StoreError;
@@ -54,6 +55,9 @@ pub enum JobError {
         /// Size allowed (bytes).
         limit: u64,
     },
+    /// The tenant has used its quota.
+    #[error(transparent)]
+    Quota(#[from] QuotaError),
     /// An option of the request is missing or wrong.
     #[error("{message}")]
     InvalidOption {
@@ -194,6 +198,7 @@ impl JobError {
             Self::TooMany { .. } | Self::TooManyUploads { .. } => Code::TooManyJobs,
             Self::FileTooLarge { .. } | Self::TooManyFiles { .. } => Code::JobTooLarge,
             Self::SpaceExhausted { .. } => Code::JobSpaceExhausted,
+            Self::Quota(error) => error.code(),
             Self::InvalidOption { .. } => Code::InvalidField,
             Self::Configuration(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,

@@ -120,11 +120,13 @@ async fn inputs(
     row: JobRow,
     running: &Running,
 ) -> Result<Option<(JobRequest, Vec<StoredFile>)>, Failure> {
-    let connector = desk.connector.of(&row.tenant);
+    let (connector, allowance) =
+        (desk.connector.of(&row.tenant), desk.allowance(&row.tenant).await);
     let refused = |error: &JobError, part| Failure::new(error.code(), error.to_string(), part);
     let mut request = JobInfo::of(row).map_err(|error| refused(&error.into(), None))?.request;
     let files = desk.files().map_err(|error| refused(&error, None))?;
-    let (mut upload, mut stored) = (Upload::fetch_to(files), Vec::new());
+    let allowance = allowance.map_err(|error| refused(&error, None))?;
+    let (mut upload, mut stored) = (Upload::fetch_to(files, allowance), Vec::new());
     for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
         let part = Some(input.part.name());
         let fetching = tried((desk, &connector), &mut upload, input, running);

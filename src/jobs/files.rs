@@ -489,6 +489,7 @@ impl Drop for StoredFile {
 
 #[cfg(test)]
 mod tests {
+    use super::super::allowance::Allowance;
     use super::super::arriving::Upload;
     use super::*;
 
@@ -519,14 +520,17 @@ mod tests {
     async fn equal_files_are_one_and_limits_leave_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 150).await;
-        let mut upload = Upload::begin_at(&files).unwrap();
-        assert!(matches!(Upload::begin_at(&files), Err(JobError::TooManyUploads { limit: 1 })));
+        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
+        assert!(matches!(
+            Upload::begin_at(&files, Allowance::unlimited()),
+            Err(JobError::TooManyUploads { limit: 1 })
+        ));
         let first = stored(&mut upload, &[7; 90]).await.unwrap();
         let again = stored(&mut upload, &[7; 60]).await.unwrap();
         assert_ne!(first.hash, again.hash);
         assert!(matches!(upload.begin().await, Err(JobError::TooManyFiles { limit: 2 })));
         drop(upload);
-        let mut upload = Upload::begin_at(&files).unwrap();
+        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
         // 150 bytes are used.
         let refused = stored(&mut upload, &[7; 60]).await;
         assert!(matches!(refused, Err(JobError::SpaceExhausted { limit: 150 })));
@@ -574,7 +578,7 @@ mod tests {
     async fn a_file_stays_while_it_is_held_or_named() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 1000).await;
-        let mut upload = Upload::begin_at(&files).unwrap();
+        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
         let held = stored(&mut upload, b"held").await.unwrap();
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
@@ -590,7 +594,7 @@ mod tests {
         assert_eq!(count(folder.path()), 1);
         assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
         assert_eq!(files.used.load(Ordering::Acquire), 5);
-        let mut twice = Upload::begin_at(&files).unwrap();
+        let mut twice = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
         stored(&mut twice, b"named").await.unwrap();
         assert_eq!((count(folder.path()), files.used.load(Ordering::Acquire)), (1, 5));
     }

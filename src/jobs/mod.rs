@@ -23,6 +23,7 @@
 //!   next run goes on after the last **checkpoint**, with the same bits. A batch, which is answered
 //!   as a whole, is computed again from the beginning.
 
+mod allowance;
 mod arriving;
 mod bucket;
 mod checkpoints;

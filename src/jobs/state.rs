@@ -13,6 +13,7 @@ use crate::clock::Clock;
 use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
+use crate::quotas::Meters;
 use crate::session::BatchLane;
 use crate::store::{JobProgress, Store};
 
@@ -24,6 +25,8 @@ use super::{JobError, JobId};
 pub(super) struct Desk {
     pub(super) store: Store,
     aiding: Aiding,
+    /// The quotas of tenants.
+    pub(super) meters: Meters,
     pub(super) files: Option<Arc<JobFiles>>,
     pub(super) limits: JobsConfiguration,
     pub(super) lane: BatchLane,
@@ -65,7 +68,7 @@ pub(super) struct Running {
 
 impl Desk {
     pub(super) fn new(
-        (store, aiding): (Store, Aiding),
+        (store, aiding, meters): (Store, Aiding, Meters),
         (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         files: Option<Arc<JobFiles>>,
@@ -74,6 +77,7 @@ impl Desk {
         Self {
             store,
             aiding,
+            meters,
             files,
             limits,
             lane,

@@ -65,8 +65,8 @@ impl Jobs {
     /// Begins an upload of a file of this size.
     ///
     /// # Errors
-    /// The service takes no jobs, the file is too large, the tenant has as many uploads as allowed,
-    /// or the store fails.
+    /// The service takes no jobs, the file is too large, the tenant has as many uploads as allowed
+    /// or its quota of bytes has no room for this one, or the store fails.
     pub async fn begin_upload(&self, name: &str, length: u64) -> Result<UploadInfo, JobError> {
         let (desk, limits) = (&self.desk, &self.desk.limits);
         let files = desk.files()?;
@@ -77,6 +77,7 @@ impl Jobs {
         if limit < length {
             return Err(JobError::FileTooLarge { limit });
         }
+        desk.allowance(&self.tenant).await?.take(length)?;
         let kept_ms = i64::from(limits.upload_hours) * MS_PER_HOUR;
         let row = JobUploadRow {
             id: UploadId::random().to_string(),

@@ -11,6 +11,7 @@ use crate::aiding::AidingLimits;
 use crate::config::JobsConfiguration;
 use crate::feeds::Connector;
 use crate::gnss::Geoid;
+use crate::quotas::Meters;
 use crate::session::BatchLane;
 use crate::store::Store;
 
@@ -31,7 +32,7 @@ impl Worker {
     /// # Errors
     /// The database is SQLite, the folder is not the service's, or the store fails.
     pub async fn start(
-        (store, aiding): (Store, AidingLimits),
+        (store, aiding, meters): (Store, AidingLimits, Meters),
         (lane, connector): (BatchLane, Connector),
         limits: JobsConfiguration,
         node: String,
@@ -44,7 +45,7 @@ impl Worker {
         let id = store.job_folder().await?;
         let files = JobFiles::join(folder, limits.clone(), id.as_deref()).await?;
         let files = Some(Arc::new(files));
-        let (stored, running) = ((store, Aiding::Worker(aiding)), limits.running);
+        let (stored, running) = ((store, Aiding::Worker(aiding), meters), limits.running);
         let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
         let (desk, mut tasks) = (Arc::new(desk), JoinSet::new());
         (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));

@@ -5,6 +5,9 @@ use std::time::Duration;
 use crate::refusal::Code;
 use crate::store::StoreError;
 
+/// Delay after which jobs may have been deleted, or have expired.
+const JOB_FILES_DELAY: Duration = Duration::from_secs(60);
+
 /// A quota that a tenant has used.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum QuotaError {
@@ -50,6 +53,14 @@ pub enum QuotaError {
         /// The delay before another attempt makes sense.
         retry_after: Duration,
     },
+    /// The files of jobs take as many bytes as allowed, or would take more.
+    #[error("the files of the tenant's jobs have {used} bytes, its quota is {limit}")]
+    JobFiles {
+        /// Bytes of files, without those that are refused.
+        used: u64,
+        /// Bytes allowed.
+        limit: u64,
+    },
     /// No tenant has this name.
     #[error("there is no tenant {name:?}")]
     NotFound {
@@ -75,6 +86,7 @@ impl QuotaError {
             Self::Epochs { .. } => Code::EpochQuotaExceeded,
             Self::Cpu { .. } => Code::CpuQuotaExceeded,
             Self::Stored { .. } => Code::StorageQuotaExceeded,
+            Self::JobFiles { .. } => Code::JobStorageQuotaExceeded,
             Self::NotFound { .. } => Code::TenantNotFound,
             Self::Changed { .. } => Code::EtagMismatch,
             Self::Store(error) => error.code(),
@@ -88,6 +100,7 @@ impl QuotaError {
             | Self::Epochs { retry_after, .. }
             | Self::Cpu { retry_after, .. }
             | Self::Stored { retry_after, .. } => *retry_after,
+            Self::JobFiles { .. } => JOB_FILES_DELAY,
             Self::NotFound { .. } | Self::Changed { .. } | Self::Store(_) => Duration::ZERO,
         }
     }

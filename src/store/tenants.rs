@@ -13,10 +13,12 @@ use super::{Act, Author, Store, StoreError};
 const COUNT_UP: &str = "UPDATE tenant_changes SET number = number + 1 RETURNING number";
 /// A tenant exists from its first key on, or once it has quotas.
 const SET: &str = "INSERT INTO tenants (name, created_unix_ms, sessions, epochs_per_s, \
-    cpu_s_per_minute, stored_bytes, changed) VALUES ($1, $2, $3, $4, $5, $6, $7) \
+    cpu_s_per_minute, stored_bytes, job_bytes, changed) \
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8) \
     ON CONFLICT (name) DO UPDATE SET sessions = excluded.sessions, \
     epochs_per_s = excluded.epochs_per_s, cpu_s_per_minute = excluded.cpu_s_per_minute, \
-    stored_bytes = excluded.stored_bytes, changed = excluded.changed";
+    stored_bytes = excluded.stored_bytes, job_bytes = excluded.job_bytes, \
+    changed = excluded.changed";
 
 /// A stored tenant.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,6 +40,8 @@ pub struct TenantUse {
     pub sessions: u64,
     /// Bytes of their epochs and solutions, approximately.
     pub stored_bytes: u64,
+    /// Bytes of the files of its jobs and uploads.
+    pub job_bytes: u64,
 }
 
 #[derive(sqlx::FromRow)]
@@ -48,6 +52,7 @@ struct RawTenant {
     epochs_per_s: Option<f64>,
     cpu_s_per_minute: Option<f64>,
     stored_bytes: Option<i64>,
+    job_bytes: Option<i64>,
     changed: i64,
 }
 
@@ -56,7 +61,8 @@ impl RawTenant {
         let Self { epochs_per_s, cpu_s_per_minute, created_unix_ms, changed, .. } = self;
         let sessions = self.sessions.map(|sessions| sessions as u64);
         let stored_bytes = self.stored_bytes.map(|bytes| bytes as u64);
-        let quotas = Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes };
+        let job_bytes = self.job_bytes.map(|bytes| bytes as u64);
+        let quotas = Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
         TenantRow { tenant: Tenant::stored(&self.name), created_unix_ms, quotas, changed }
     }
 }
@@ -65,7 +71,7 @@ macro_rules! select_tenants {
     ($condition:literal) => {
         concat!(
             "SELECT name, created_unix_ms, sessions, epochs_per_s, cpu_s_per_minute, ",
-            "stored_bytes, changed FROM tenants ",
+            "stored_bytes, job_bytes, changed FROM tenants ",
             $condition
         )
     };
@@ -105,6 +111,7 @@ impl Store {
                     .bind(quotas.epochs_per_s)
                     .bind(quotas.cpu_s_per_minute)
                     .bind(quotas.stored_bytes.map(|bytes| bytes as i64))
+                    .bind(quotas.job_bytes.map(|bytes| bytes as i64))
                     .bind(number);
                 set.execute(&mut *transaction).await?;
                 let before = present.map(|row| row.quotas).unwrap_or_default();
@@ -175,6 +182,7 @@ impl Store {
         });
         let (sessions, bytes) = row.map_err(StoreError::database("counting what is stored"))?;
         let (sessions, stored_bytes) = (sessions as u64, bytes.max(0) as u64);
-        Ok(TenantUse { sessions, stored_bytes })
+        let job_bytes = self.tenant_job_bytes(tenant).await?;
+        Ok(TenantUse { sessions, stored_bytes, job_bytes })
     }
 }

@@ -63,6 +63,8 @@ pub struct Quotas {
     pub cpu_s_per_minute: Option<f64>,
     /// Bytes of stored epochs and solutions, approximately.
     pub stored_bytes: Option<u64>,
+    /// Bytes of the files of jobs and uploads.
+    pub job_bytes: Option<u64>,
 }
 
 impl Quotas {
@@ -75,6 +77,7 @@ impl Quotas {
             ("epochsPerS", rate(before.epochs_per_s), rate(self.epochs_per_s)),
             ("cpuSPerMinute", rate(before.cpu_s_per_minute), rate(self.cpu_s_per_minute)),
             ("storedBytes", count(before.stored_bytes), count(self.stored_bytes)),
+            ("jobBytes", count(before.job_bytes), count(self.job_bytes)),
         ];
         let shown = |quota: Option<String>| quota.unwrap_or_else(|| "none".to_owned());
         let changed = quotas.into_iter().filter(|(_, before, now)| before != now);

@@ -41,6 +41,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::EpochQuotaExceeded, "tests/doors/quotas.rs"),
     (Code::CpuQuotaExceeded, "tests/doors/quotas.rs"),
     (Code::StorageQuotaExceeded, "tests/doors/quotas.rs"),
+    (Code::JobStorageQuotaExceeded, "tests/doors/quotas.rs"),
     (Code::BaseOfOperator, "tests/doors/tenants/mod.rs"),
     (Code::TooManyAttempts, "tests/doors/operator_keys.rs"),
     (Code::KeyNotFound, "tests/doors/operator_keys.rs"),

@@ -2,7 +2,8 @@
 
 use std::process::Command;
 
-use axum::http::StatusCode;
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
 use graphfix::contract::v1;
 use graphfix::grpc::code_of;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
@@ -12,14 +13,17 @@ use tonic::service::interceptor::InterceptedService;
 use tonic_types::StatusExt;
 
 use crate::support::database::{Database, on_both_databases};
-use crate::support::doors::{Doors, epoch};
+use crate::support::doors::{Doors, code, epoch};
+use crate::support::jobs::MINUTE;
 use crate::support::wait::until;
 
+use super::jobs::post;
 use super::tenants::world::{Key, asked, get, key_of, operator, session};
 
 on_both_databases!(
     a_tenant_has_no_more_sessions_than_its_quota,
     epochs_are_refused_by_each_quota,
+    files_of_jobs_are_refused_by_their_quota,
     the_operator_sets_quotas_beside_the_service,
 );
 
@@ -113,6 +117,71 @@ async fn epochs_are_refused_by_each_quota(database: Database) {
     assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
     let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
     assert_eq!(used["storedBytes"].as_u64().unwrap_or(0), 0, "{used}");
+    doors.close().await;
+}
+
+async fn files_of_jobs_are_refused_by_their_quota(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let (a, b) =
+        (key_of(&doors, &operator, "a", "").await, key_of(&doors, &operator, "b", "").await);
+    let post = async |key: &Key, headers: &[(&str, &str)]| {
+        let bearer = format!("Bearer {}", key.secret);
+        let headers = [&[("authorization", &*bearer)], headers].concat();
+        let (status, answer) = post(&doors, MINUTE.body(&json!({})), &headers).await;
+        assert_eq!(status == StatusCode::TOO_MANY_REQUESTS, answer["retryAfterMs"].is_u64());
+        (status.as_u16(), code(&answer).to_owned(), answer)
+    };
+    let upload = async |length: u64| {
+        let request = Request::post("/v1/uploads").header("tus-resumable", "1.0.0");
+        let request = request.header("authorization", format!("Bearer {}", a.secret));
+        let request = request.header("upload-length", length).body(Body::empty()).unwrap();
+        let (status, answer) = doors.ask(request).await;
+        (status.as_u16(), code(&answer).to_owned())
+    };
+    let used = async || {
+        let tenant = get(&doors, &operator, "/v1/tenants/a").await;
+        tenant["used"]["jobBytes"].as_u64().unwrap_or(0)
+    };
+    let refused = (429, "JOB_STORAGE_QUOTA_EXCEEDED".to_owned());
+    let inputs = (MINUTE.rover.len() + MINUTE.navigation.len() + MINUTE.base.len()) as u64;
+
+    // What is accepted is finished, though its result exceeds the quota.
+    set(&doors, &operator, "a", json!({"jobBytes": inputs})).await;
+    let (status, _, job) = post(&a, &[]).await;
+    assert_eq!(status, 201, "{job}");
+    let path = format!("/v1/jobs/{}", job["job"].as_str().unwrap());
+    let job =
+        until("ended", async || get(&doors, &a, &path).await, |job| job["state"] == "SUCCEEDED");
+    let result = job.await["resultBytes"].as_u64().unwrap();
+    assert_eq!(used().await, inputs + result);
+    let (status, code, answer) = post(&a, &[]).await;
+    assert_eq!((status, code), refused, "{answer}");
+    assert_eq!(upload(1).await, refused);
+    assert_eq!(post(&b, &[]).await.0, 201, "of another tenant");
+
+    // A body is refused where it exceeds what is left, and an upload by its size.
+    let left = inputs - 1;
+    set(&doors, &operator, "a", json!({"jobBytes": inputs + result + left})).await;
+    let (status, code, answer) = post(&a, &[]).await;
+    assert_eq!((status, code), refused, "{answer}");
+    assert_eq!(upload(left + 1).await, refused);
+    assert_eq!(upload(left).await.0, 201);
+    assert_eq!(used().await, inputs + result + left);
+    assert_eq!(upload(1).await, refused);
+
+    // Another job of the same files has them once.
+    set(&doors, &operator, "a", json!({"jobBytes": 3 * inputs + result})).await;
+    let (status, _, answer) = post(&a, &[]).await;
+    assert_eq!(status, 201, "{answer}");
+    let again = format!("/v1/jobs/{}", answer["job"].as_str().unwrap());
+    until("ended", async || get(&doors, &a, &again).await, |job| job["state"] == "SUCCEEDED").await;
+    assert_eq!(used().await, inputs + 2 * result + left);
+    for path in [path, again] {
+        let purge = format!("{path}?purge=true");
+        assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
+    }
+    assert_eq!(used().await, left);
     doors.close().await;
 }
 

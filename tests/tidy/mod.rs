@@ -90,6 +90,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "tenant",
             "refusal",
             "clock",
+            "quotas",
             "config",
             "formats",
             "store",

@@ -6,7 +6,7 @@ import { useRight } from "./rights";
 import { bytes, count } from "./time";
 import { Lamp, Loading, ProblemBox, Share } from "./ui";
 
-type Name = "sessions" | "epochsPerS" | "cpuSPerMinute" | "storedBytes";
+type Name = "sessions" | "epochsPerS" | "cpuSPerMinute" | "storedBytes" | "jobBytes";
 interface Tenant {
   tenant: string;
   createdUtc: string;
@@ -33,6 +33,7 @@ const KINDS: Kind[] = [
   { name: "epochsPerS", words: "Epochs", unit: "a second", text: (n) => `${perTime(n)} /s`, factor: 1, isWhole: false },
   { name: "cpuSPerMinute", words: "Processor time", unit: "seconds a minute", text: (n) => `${perTime(n)} s/min`, factor: 1, isWhole: false },
   { name: "storedBytes", words: "Stored", unit: "GB of epochs and solutions", text: bytes, factor: 1e9, isWhole: true },
+  { name: "jobBytes", words: "Files of jobs", unit: "GB of inputs and results", text: bytes, factor: 1e9, isWhole: true },
 ];
 /** Part of a quota from which it is nearly used up. */
 const NEARLY = 0.9;

@@ -58,7 +58,7 @@ async function quotas(page, address, database, admin) {
   await set();
   await card(page, "acme").getByText("1 of 1").waitFor();
   await card(page, "acme").getByText("used up").waitFor();
-  assert.deepEqual(await of(), { sessions: 1, epochsPerS: null, cpuSPerMinute: null, storedBytes: 500_000_000 });
+  assert.deepEqual(await of(), { sessions: 1, epochsPerS: null, cpuSPerMinute: null, storedBytes: 500_000_000, jobBytes: null });
   // Somebody else changes them while the form is open.
   await change();
   await call(admin, "/v1/tenants/acme", "PUT", { quotas: { sessions: 7 } });

@@ -92,12 +92,14 @@ fn changed(etag: &str) -> Result<Option<i64>, Refusal> {
 
 /// Reads and checks quotas.
 fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
-    let v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = message;
+    let v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } =
+        message;
     let refused = |field: &str, value: &dyn std::fmt::Display| {
         let message = format!("{value} is not a quota: a number from 0 to 9e15");
         Err(Refusal::new(Code::InvalidField, message).at(format!("quotas.{field}")))
     };
-    for (field, value) in [("sessions", sessions), ("storedBytes", stored_bytes)] {
+    let counts = [("sessions", sessions), ("storedBytes", stored_bytes), ("jobBytes", job_bytes)];
+    for (field, value) in counts {
         if let Some(value) = value.filter(|value| MOST < *value as f64) {
             return refused(field, &value);
         }
@@ -107,7 +109,7 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
             return refused(field, &value);
         }
     }
-    Ok(Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes })
+    Ok(Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes })
 }
 
 /// Largest quota: a number that JSON has exactly.
@@ -115,16 +117,19 @@ const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {
     let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored } = info;
-    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes } = quotas;
+    let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
+    let quotas =
+        v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
     v1::Tenant {
         tenant: tenant.to_string(),
         created_utc: utc(created_unix_ms),
-        quotas: Some(v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes }),
+        quotas: Some(quotas),
         used: Some(v1::TenantUse {
             sessions: stored.sessions,
             epochs_per_s: rates.epochs_per_s,
             cpu_s_per_minute: rates.cpu_s_per_minute,
             stored_bytes: stored.stored_bytes,
+            job_bytes: stored.job_bytes,
         }),
         etag: changed.to_string(),
         create_time: timestamp(created_unix_ms),

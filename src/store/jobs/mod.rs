@@ -7,6 +7,7 @@ mod fetching;
 mod folder;
 mod queue;
 mod rows;
+mod space;
 mod uploads;
 
 use crate::tenant::Tenant;

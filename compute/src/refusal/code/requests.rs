@@ -100,6 +100,9 @@ macro_rules! requests {
     /// The tenant has as many bytes stored as its quota.
     StorageQuotaExceeded = "STORAGE_QUOTA_EXCEEDED", Exhausted,
         "delete sessions, give them a retention, or let the operator raise the tenant's quota";
+    /// The files of the tenant's jobs take as many bytes as its quota.
+    JobStorageQuotaExceeded = "JOB_STORAGE_QUOTA_EXCEEDED", Exhausted,
+        "delete jobs (purge=true) and uploads, or let the operator raise the tenant's quota";
     /// As many keys are in force as allowed.
     TooManyKeys = "TOO_MANY_KEYS", Precondition, "revoke keys that are no longer used";
 
