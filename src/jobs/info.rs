@@ -86,11 +86,15 @@ impl JobInfo {
         if self.state == JobState::Succeeded {
             return 100.0;
         }
-        let total = match &self.request.session {
+        (self.progress.read_bytes as f64 / self.total() as f64 * 100.0).min(NOT_DONE)
+    }
+
+    /// Bytes of the rover's file, or numbers of the session's epochs.
+    fn total(&self) -> u64 {
+        match &self.request.session {
             None => self.request.input(Part::Rover).map_or(0, |rover| rover.bytes).max(1),
             Some(session) => session.epochs(),
-        };
-        (self.progress.read_bytes as f64 / total as f64 * 100.0).min(NOT_DONE)
+        }
     }
 
     /// Time of the present or last run so far (s).
@@ -99,17 +103,85 @@ impl JobInfo {
         Some((end - self.started_unix_ms?).max(0) as f64 / 1e3)
     }
 
-    /// Epochs a second of the present or last run.
+    /// Epochs a second of the present or last run, without those that it has taken over from
+    /// earlier ones.
     pub fn epochs_per_second(&self, now_unix_ms: i64) -> Option<f64> {
         let elapsed_s = self.elapsed_s(now_unix_ms).filter(|elapsed_s| 0.0 < *elapsed_s)?;
-        Some(self.progress.epochs as f64 / elapsed_s)
+        let JobProgress { epochs, resumed_epochs, .. } = self.progress;
+        Some(epochs.saturating_sub(resumed_epochs) as f64 / elapsed_s)
     }
 
     /// Estimated time until a running job ends (s), from the part of the rover's file or of the
-    /// session that is read.
+    /// session that its present run has read.
     pub fn remaining_s(&self, now_unix_ms: i64) -> Option<f64> {
-        let percent = Some(self.percent()).filter(|percent| 0.0 < *percent)?;
+        let JobProgress { read_bytes, resumed_bytes, .. } = self.progress;
+        let read = Some(read_bytes.saturating_sub(resumed_bytes)).filter(|read| 0 < *read)?;
+        let left = self.total().saturating_sub(read_bytes);
         let elapsed_s = self.elapsed_s(now_unix_ms).filter(|_| self.state == JobState::Running)?;
-        Some(elapsed_s * (100.0 - percent) / percent)
+        Some(elapsed_s * left as f64 / read as f64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::super::request::{BaseOrigin, JobInput, JobOptions};
+    use super::*;
+
+    /// A job that runs since 5 s, of a file of 1000 bytes.
+    fn running(progress: JobProgress) -> JobInfo {
+        let rover = JobInput {
+            part: Part::Rover,
+            name: "rover.obs".to_owned(),
+            hash: "c0ffee".to_owned(),
+            bytes: 1000,
+            is_own: false,
+            url: None,
+        };
+        JobInfo {
+            id: JobId::random(),
+            state: JobState::Running,
+            request: JobRequest::new(options(), vec![rover]),
+            created_unix_ms: 0,
+            started_unix_ms: Some(5_000),
+            ended_unix_ms: None,
+            progress,
+            result: None,
+            report: None,
+            failure: None,
+            webhook_state: None,
+        }
+    }
+
+    fn options() -> JobOptions {
+        JobOptions {
+            mode: "fgo".to_owned(),
+            profile: "general".to_owned(),
+            overrides: BTreeMap::new(),
+            answer: "causal".to_owned(),
+            base_position: BaseOrigin::Any,
+            format: "pos".to_owned(),
+            near_ns: None,
+            session: None,
+            webhook: None,
+        }
+    }
+
+    /// A run that went on at 600 of 1000 epochs, and has computed 100 in ten seconds.
+    #[test]
+    fn rate_and_time_left_are_those_of_the_present_run() {
+        let (resumed_epochs, resumed_bytes) = (600, 600);
+        let (epochs, answered, read_bytes) = (700, 650, 700);
+        let progress = JobProgress { epochs, answered, read_bytes, resumed_epochs, resumed_bytes };
+        let went_on = running(progress);
+        assert_eq!(went_on.percent(), 70.0);
+        assert_eq!(went_on.epochs_per_second(15_000), Some(10.0));
+        assert_eq!(went_on.remaining_s(15_000), Some(30.0));
+        // As long as nothing is read anew there is no estimate.
+        let begun = running(JobProgress { read_bytes: 600, ..progress });
+        assert_eq!(begun.remaining_s(15_000), None);
+        let first = running(JobProgress { resumed_epochs: 0, resumed_bytes: 0, ..progress });
+        assert_eq!(first.epochs_per_second(15_000), Some(70.0));
     }
 }

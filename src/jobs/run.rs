@@ -78,6 +78,8 @@ struct Output {
     checkpoints: Option<Checkpoints>,
     /// Time that the runs before have taken (s).
     seconds_before: f64,
+    /// How far these were: epochs, and what was read of the rover's file or of the session.
+    resumed: (u64, u64),
 }
 
 /// Why a run has none.
@@ -158,6 +160,7 @@ impl Run {
             tally: Tally::default(),
             checkpoints: self.has_checkpoints().then(|| self.checkpoints()),
             seconds_before: 0.0,
+            resumed: (0, 0),
         };
         self.resume((&mut source, &mut output), (runtime, began), space)?;
         let kept = output.tally.epochs;
@@ -208,7 +211,9 @@ impl Run {
         space.grow_to(output.writer.bytes())?;
         let Tally { epochs, answered, .. } = output.tally;
         let read_bytes = source.passed();
-        self.running.set_progress(JobProgress { epochs, answered, read_bytes });
+        let (resumed_epochs, resumed_bytes) = output.resumed;
+        let taken_over = JobProgress { resumed_epochs, resumed_bytes, ..JobProgress::default() };
+        self.running.set_progress(JobProgress { epochs, answered, read_bytes, ..taken_over });
         Ok(true)
     }
 
@@ -248,6 +253,7 @@ impl Run {
             }
         }
         (output.checkpoints, output.seconds_before) = (Some(chain), seconds);
+        output.resumed = (output.tally.epochs, source.passed());
         Ok(())
     }
 

@@ -64,6 +64,8 @@ pub(super) struct Running {
     epochs: AtomicU64,
     answered: AtomicU64,
     read_bytes: AtomicU64,
+    resumed_epochs: AtomicU64,
+    resumed_bytes: AtomicU64,
 }
 
 impl Desk {
@@ -198,6 +200,8 @@ impl Running {
         self.epochs.store(progress.epochs, Ordering::Release);
         self.answered.store(progress.answered, Ordering::Release);
         self.read_bytes.store(progress.read_bytes, Ordering::Release);
+        self.resumed_epochs.store(progress.resumed_epochs, Ordering::Release);
+        self.resumed_bytes.store(progress.resumed_bytes, Ordering::Release);
     }
 
     /// Sets the processor time that the run has used.
@@ -215,6 +219,8 @@ impl Running {
             epochs: self.epochs.load(Ordering::Acquire),
             answered: self.answered.load(Ordering::Acquire),
             read_bytes: self.read_bytes.load(Ordering::Acquire),
+            resumed_epochs: self.resumed_epochs.load(Ordering::Acquire),
+            resumed_bytes: self.resumed_bytes.load(Ordering::Acquire),
         }
     }
 }

@@ -586,7 +586,8 @@ async fn a_queue_gives_each_job_once(database: Database) {
     assert_ne!(first.id, second.id);
     let third = claim(LONG).await.unwrap();
     assert!(claim(LONG).await.is_none());
-    let progress = JobProgress { epochs: 7, answered: 5, read_bytes: 11 };
+    let progress =
+        JobProgress { epochs: 7, answered: 5, read_bytes: 11, resumed_epochs: 3, resumed_bytes: 4 };
     let beat = async |claim| store.beat_job(claim, progress, Duration::ZERO).await.unwrap();
     assert!(beat(first.claim()).await);
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().progress, progress);

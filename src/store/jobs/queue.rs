@@ -57,7 +57,8 @@ macro_rules! claim {
             $now,
             ", heartbeat_unix_ms = ",
             $now,
-            ", cpu_ms = 0, epochs = 0, answered = 0, read_bytes = 0 WHERE key = (",
+            ", cpu_ms = 0, epochs = 0, answered = 0, read_bytes = 0, resumed_epochs = 0, ",
+            "resumed_bytes = 0 WHERE key = (",
             "SELECT key FROM jobs WHERE ended_unix_ms IS NULL AND unfetched = 0 ",
             "AND (state = 'QUEUED' OR heartbeat_unix_ms < ",
             $now,
@@ -85,7 +86,7 @@ macro_rules! beat {
     ($now:expr) => {
         concat!(
             "UPDATE jobs SET cpu_ms = $3, epochs = $4, answered = $5, read_bytes = $6, ",
-            "heartbeat_unix_ms = ",
+            "resumed_epochs = $7, resumed_bytes = $8, heartbeat_unix_ms = ",
             $now,
             " WHERE key = $1 AND fence = $2 AND state = 'RUNNING'"
         )
@@ -172,6 +173,8 @@ impl Store {
                     .bind(progress.epochs as i64)
                     .bind(progress.answered as i64)
                     .bind(progress.read_bytes as i64)
+                    .bind(progress.resumed_epochs as i64)
+                    .bind(progress.resumed_bytes as i64)
                     .execute(&mut *transaction)
                     .await?;
                 transaction.commit().await.map(|()| done.rows_affected())

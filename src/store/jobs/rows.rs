@@ -106,6 +106,10 @@ pub struct JobProgress {
     pub answered: u64,
     /// Bytes of the rover's file that have been read.
     pub read_bytes: u64,
+    /// Number of the epochs that the present run has taken over from earlier ones.
+    pub resumed_epochs: u64,
+    /// Bytes of the rover's file that these are.
+    pub resumed_bytes: u64,
 }
 
 /// How a job ends.
@@ -195,6 +199,8 @@ pub(super) struct RawJob {
     epochs: i64,
     answered: i64,
     read_bytes: i64,
+    resumed_epochs: i64,
+    resumed_bytes: i64,
     result: Option<String>,
     result_bytes: Option<i64>,
     report: Option<String>,
@@ -228,6 +234,8 @@ impl RawJob {
                 epochs: self.epochs as u64,
                 answered: self.answered as u64,
                 read_bytes: self.read_bytes as u64,
+                resumed_epochs: self.resumed_epochs as u64,
+                resumed_bytes: self.resumed_bytes as u64,
             },
             result: self.result.zip(self.result_bytes.map(|bytes| bytes as u64)),
             report: self.report,
@@ -241,8 +249,8 @@ impl RawJob {
 macro_rules! columns {
     () => {
         "key, tenant, id, state, request, request_hash, created_unix_ms, started_unix_ms, \
-         ended_unix_ms, fence, lost_claims, epochs, answered, read_bytes, result, result_bytes, \
-         report, failure, webhook_state"
+         ended_unix_ms, fence, lost_claims, epochs, answered, read_bytes, resumed_epochs, \
+         resumed_bytes, result, result_bytes, report, failure, webhook_state"
     };
 }
 pub(super) use columns;
