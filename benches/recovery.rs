@@ -23,7 +23,7 @@ use graphfix::gnss::{Ephemeris, Epoch, Navigation};
 use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Sessions};
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::{BaseChoice, Store};
-use sqlx::{AssertSqlSafe, Connection, PgConnection};
+use sqlx::{Connection, PgConnection};
 use tempfile::TempDir;
 
 /// The allocator of the program.
@@ -217,7 +217,7 @@ impl Place {
         let Self::Server(url) = self else { return };
         let mut server = PgConnection::connect(url).await.expect("the server answers");
         for statement in statements {
-            let executed = sqlx::query(AssertSqlSafe(statement.as_str())).execute(&mut server);
+            let executed = sqlx::query(statement).execute(&mut server);
             executed.await.unwrap_or_else(|error| panic!("{statement}: {error}"));
         }
     }
