@@ -330,7 +330,8 @@ async fn check(database: &Database, node: &Node, answered: &Answered) {
 }
 
 /// Each fault once, at the leader and at the follower in turns; `GRAPHFIX_NODES_ROUNDS` asks for
-/// more of them, at random by `GRAPHFIX_NODES_SEED`, and `GRAPHFIX_NODES` for more nodes.
+/// more of them, at random by `GRAPHFIX_NODES_SEED`, then frozen for 30 s, and `GRAPHFIX_NODES` for
+/// more nodes.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn nothing_acknowledged_is_lost_behind_haproxy() {
     on_postgres(async |database| {
@@ -350,8 +351,9 @@ async fn nothing_acknowledged_is_lost_behind_haproxy() {
                 None => (faults[index % 3], index % count, 0),
                 Some(_) => (faults[random.below(3)], random.below(count), random.below(8_000)),
             };
-            let lasting = match fault {
-                Fault::Kill => Duration::from_millis(500 + extra_ms as u64),
+            let lasting = match (fault, seed) {
+                (Fault::Kill, _) => Duration::from_millis(500 + extra_ms as u64),
+                (Fault::Freeze, Some(_)) => Duration::from_secs(30),
                 _ => Duration::from_millis(9_000 + extra_ms as u64),
             };
             all.add(round(&database, &mut nodes, balancer.port, (fault, victim, lasting)).await);
