@@ -2,6 +2,7 @@
 
 use axum::Json;
 use axum::extract::Path;
+use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::IntoParams;
 
@@ -9,6 +10,7 @@ use crate::contract::{Caller, Refusal, calls, intake, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
+use super::download::download;
 use super::lists::view;
 use super::problem::Refused;
 
@@ -34,19 +36,29 @@ pub(super) struct SolutionsQuery {
     /// `FULL` (if absent), or `BASIC`: without `velocity`, `clock`, `dops`, `satellitesUsed` and
     /// `provenance`, two thirds of the bytes.
     view: Option<String>,
+    /// `json` (if absent) for a page, or `pos`, `csv`, `geojson`, `kml`, `gpx`, `nmea` or `parquet`
+    /// for a file of all, without `pageSize`, `pageToken` and `view`.
+    format: Option<String>,
 }
 
-/// Lists stored solutions of a session in order of seq and revision.
+/// Lists stored solutions of a session in order of seq and revision, or returns all as a file.
 #[utoipa::path(get, operation_id = "solutionsList",
     path = "/v1/sessions/{session}/solutions", tag = "Solutions",
     params(("session" = String, Path, description = "Its id"), SolutionsQuery),
-    responses((status = 200, description = "A page of solutions",
-        body = v1::ListSolutionsResponse), Refused))]
+    responses((status = 200, description = "A page of solutions, or a file",
+        content((v1::ListSolutionsResponse = "application/json"), (String = "text/plain"),
+            (String = "text/csv"), (String = "application/geo+json"),
+            (String = "application/vnd.google-earth.kml+xml"), (String = "application/gpx+xml"),
+            (String = "application/vnd.apache.parquet"))), Refused))]
 pub(super) async fn list(
     caller: Caller,
     Path(session): Path<String>,
     StrictQuery(query): StrictQuery<SolutionsQuery>,
-) -> Result<Json<v1::ListSolutionsResponse>, Refused> {
+) -> Result<Response, Refused> {
+    if let Some(format) = query.format.as_deref().filter(|format| *format != "json") {
+        let chosen = query.chosen_for_a_file()?;
+        return file(&caller, session, format, chosen).await;
+    }
     let request = v1::ListSolutionsRequest {
         session,
         from: query.from.map(|text| time("from", &text)).transpose()?,
@@ -57,7 +69,31 @@ pub(super) async fn list(
         page_token: query.page_token,
         view: view(query.view)?,
     };
-    Ok(Json(calls::solutions::list(&caller, request).await?))
+    Ok(Json(calls::solutions::list(&caller, request).await?).into_response())
+}
+
+impl SolutionsQuery {
+    /// The solutions of a file, which has no pages and no view.
+    ///
+    /// # Errors
+    /// The query names a page or a view.
+    fn chosen_for_a_file(&self) -> Result<TrackQuery, Refusal> {
+        let given = [
+            ("pageSize", self.page_size != 0),
+            ("pageToken", !self.page_token.is_empty()),
+            ("view", self.view.is_some()),
+        ];
+        if let Some((field, _)) = given.into_iter().find(|(_, is_given)| *is_given) {
+            let message = "a file has all solutions that are chosen, with all that its format has";
+            return Err(Refusal::new(Code::InvalidField, message).at(field));
+        }
+        Ok(TrackQuery {
+            from: self.from.clone(),
+            to: self.to.clone(),
+            status: self.status.clone(),
+            revisions: self.revisions.clone(),
+        })
+    }
 }
 
 /// The solutions of a track.
@@ -94,6 +130,19 @@ impl TrackQuery {
             revisions: self.revisions.map_or(Ok(0), |name| revisions(&name))?,
         })
     }
+}
+
+/// Stored solutions of a session as a file of this format.
+pub(super) async fn file(
+    caller: &Caller,
+    session: String,
+    format: &str,
+    query: TrackQuery,
+) -> Result<Response, Refused> {
+    let kind = calls::track::content_type(format)?;
+    let name = format!("{session}.{format}");
+    let request = query.request(session, format)?;
+    Ok(download(&name, kind, calls::track::track(caller, request).await?))
 }
 
 /// The time series to compute.

@@ -8,9 +8,8 @@ use axum::routing::get;
 use crate::contract::{Caller, Service, calls};
 
 use super::body::StrictQuery;
-use super::download::download;
 use super::problem::Refused;
-use super::solutions::TrackQuery;
+use super::solutions::{TrackQuery, file};
 
 /// A route for each format.
 pub(super) fn routes() -> Router<Service> {
@@ -37,8 +36,5 @@ pub(super) async fn track(
     StrictQuery(query): StrictQuery<TrackQuery>,
     format: &'static str,
 ) -> Result<Response, Refused> {
-    let kind = calls::track::content_type(format)?;
-    let name = format!("{session}.{format}");
-    let request = query.request(session, format)?;
-    Ok(download(&name, kind, calls::track::track(&caller, request).await?))
+    file(&caller, session, format, query).await
 }

@@ -47,16 +47,22 @@ async fn listed(doors: &Doors, session: &str, query: &str) -> Vec<Value> {
 
 /// Content type and text of a track.
 async fn track(doors: &Doors, session: &str, file: &str) -> (String, String) {
+    let (name, kind, text) = downloaded(doors, session, file).await;
+    let expected = file.split('?').next().unwrap().replace("track", session);
+    assert_eq!(name, format!("attachment; filename=\"{expected}\""));
+    (kind, text)
+}
+
+/// Disposition, content type and text of a file.
+async fn downloaded(doors: &Doors, session: &str, file: &str) -> (String, String, String) {
     let request = Request::get(format!("/v1/sessions/{session}/{file}"));
     let request = request.body(Body::empty()).unwrap();
     let response = doors.router.clone().oneshot(request).await.unwrap();
     assert_eq!(response.status(), StatusCode::OK, "{file}");
     let header = |name: &str| response.headers()[name].to_str().unwrap().to_owned();
-    let name = file.split('?').next().unwrap().replace("track", session);
-    assert_eq!(header("content-disposition"), format!("attachment; filename=\"{name}\""));
-    let kind = header("content-type");
+    let (name, kind) = (header("content-disposition"), header("content-type"));
     let bytes = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
-    (kind, String::from_utf8(bytes.to_vec()).unwrap())
+    (name, kind, String::from_utf8(bytes.to_vec()).unwrap())
 }
 
 #[tokio::test]
@@ -123,6 +129,34 @@ async fn a_track_is_chosen_as_a_list_is() {
             solutions.iter().map(|s| (s["seq"].to_string(), s["revision"].to_string())).collect();
         assert!(!expected.is_empty(), "{query}");
         assert_eq!(rows(query).await, expected, "{query}");
+    }
+}
+
+/// A list with a format is the file of that format; one without, or in JSON, is a page.
+#[tokio::test]
+async fn a_list_is_a_file_in_each_format() {
+    let doors = Doors::open().await;
+    let session = driven(&doors).await;
+    for format in ["pos", "csv", "geojson", "kml", "gpx", "nmea"] {
+        let chosen = "revisions=first&status=FGO";
+        let by_list = format!("solutions?format={format}&{chosen}");
+        let by_name = format!("track.{format}?{chosen}");
+        let by_list = downloaded(&doors, &session, &by_list).await;
+        assert_eq!(by_list, downloaded(&doors, &session, &by_name).await);
+    }
+    let path = format!("/v1/sessions/{session}/solutions?format=json&pageSize=2");
+    let (status, page) = doors.get(&path).await;
+    assert_eq!((status, page["solutions"].as_array().unwrap().len()), (StatusCode::OK, 2));
+    for (query, field) in [
+        ("format=csv&pageSize=2", "pageSize"),
+        ("format=csv&pageToken=a", "pageToken"),
+        ("format=csv&view=BASIC", "view"),
+        ("format=shp", "format"),
+    ] {
+        let (status, problem) =
+            doors.get(&format!("/v1/sessions/{session}/solutions?{query}")).await;
+        let got = (status.as_u16(), problem["code"].as_str(), problem["field"].as_str());
+        assert_eq!(got, (400, Some("INVALID_FIELD"), Some(field)), "{problem}");
     }
 }
 
