@@ -31,6 +31,7 @@ async function fleetGoesLive(address) {
   await page.locator(".chip", { hasText: "Fixed" }).waitFor({ timeout: 90_000 });
   await page.locator(".lost", { hasText: "courier 6" }).waitFor({ timeout: 90_000 });
   await epochsRise(page);
+  await mapMovesByKeys(page);
   assert(asked.includes("/v1/sessions:watch") && !asked.includes("/v1/sessions:heads"), "the page watches, and does not poll");
   // Filters by status and by text.
   await page.locator(".chip", { hasText: "Lost" }).click();
@@ -48,6 +49,21 @@ async function fleetGoesLive(address) {
   assert(paint < 1000, `the first paint takes ${paint} ms`);
   console.log(`first contentful paint after ${paint.toFixed(0)} ms`);
   await page.context().close();
+}
+
+/** Keys zoom the map, which then stays as it is while the fleet moves, until all is shown again. */
+async function mapMovesByKeys(page) {
+  const scale = () => page.locator(".map .ol-scale-line-inner").textContent();
+  const before = await scale();
+  await page.locator(".map").focus();
+  await page.keyboard.press("-");
+  await page.keyboard.press("-");
+  await until("the map shows more", 5, async () => (await scale()) !== before);
+  const far = await scale();
+  await epochsRise(page);
+  assert.equal(await scale(), far, "the map stays where the user has moved it");
+  await page.keyboard.press("0");
+  await until("the map shows all", 5, async () => (await scale()) !== far);
 }
 
 /** Numbers move without a reload. */

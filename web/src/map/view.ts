@@ -3,8 +3,12 @@ import type { Coordinate } from "ol/coordinate";
 import OlMap from "ol/Map";
 import View from "ol/View";
 import ScaleLine from "ol/control/ScaleLine";
+import type { Condition } from "ol/events/condition";
 import { type Extent, boundingExtent, buffer, getCenter, getHeight, getWidth } from "ol/extent";
 import { defaults } from "ol/interaction/defaults";
+import DragPan from "ol/interaction/DragPan";
+import KeyboardPan from "ol/interaction/KeyboardPan";
+import KeyboardZoom from "ol/interaction/KeyboardZoom";
 import MouseWheelZoom from "ol/interaction/MouseWheelZoom";
 import type BaseLayer from "ol/layer/Base";
 import { toLonLat } from "ol/proj";
@@ -14,6 +18,21 @@ import { type Layer, type LonLat, projected, stretch } from "./layers";
 const REACH_PX = 14;
 /** Room around what is framed, for the buttons, labels and the scale: top, right, bottom, left (px). */
 const ROOM_PX = [50, 120, 60, 70];
+
+/** Keys that move the map. */
+const MOVING = new Set(["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "+", "-"]);
+
+/** How a map moves: at once for users who want no motion, else with inertia. `wheel` says which turns of the wheel zoom. */
+function interactions(wheel: Condition) {
+  const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const duration = isStill ? 0 : undefined;
+  const common = defaults({
+    altShiftDragRotate: false, pinchRotate: false, mouseWheelZoom: false,
+    dragPan: !isStill, keyboard: !isStill, zoomDuration: duration,
+  });
+  common.push(new MouseWheelZoom({ condition: wheel, duration }));
+  return isStill ? common.extend([new DragPan(), new KeyboardPan({ duration }), new KeyboardZoom({ duration })]) : common;
+}
 
 export interface MapOptions {
   onPick?(id: string | undefined): void;
@@ -38,16 +57,17 @@ export class MapView {
       keyboardEventTarget: box,
       view: this.view,
       controls: [new ScaleLine({ minWidth: 70 })],
-      interactions: defaults({ altShiftDragRotate: false, pinchRotate: false, mouseWheelZoom: false }).extend([
-        new MouseWheelZoom({
-          condition: ({ originalEvent }) =>
-            !this.options.calmWheel || box.contains(document.activeElement) || (originalEvent as WheelEvent).ctrlKey,
-        }),
-      ]),
+      interactions: interactions(({ originalEvent }) => {
+        const zooms = !this.options.calmWheel || box.contains(document.activeElement) || (originalEvent as WheelEvent).ctrlKey;
+        this.moved ||= zooms;
+        return zooms;
+      }),
     });
-    this.view.on("change", () => {
-      if (this.view.getInteracting() || this.view.getAnimating()) this.moved = true;
-    });
+    const moves = () => {
+      this.moved = true;
+    };
+    this.map.on("pointerdrag", moves);
+    this.map.on("dblclick", moves);
     this.map.on("change:size", () => {
       if (!this.moved) this.fit();
     });
@@ -60,7 +80,9 @@ export class MapView {
     });
     target.addEventListener("pointerleave", () => this.options.onHover?.(undefined));
     box.addEventListener("keydown", ({ key, ctrlKey, metaKey, altKey }) => {
-      if (key === "0" && !ctrlKey && !metaKey && !altKey) this.fit();
+      if (ctrlKey || metaKey || altKey) return;
+      if (MOVING.has(key)) moves();
+      if (key === "0") this.fit();
     });
   }
 
