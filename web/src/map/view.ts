@@ -57,8 +57,9 @@ export class MapView {
       keyboardEventTarget: box,
       view: this.view,
       controls: [new ScaleLine({ minWidth: 70 })],
-      interactions: interactions(({ originalEvent }) => {
-        const zooms = !this.options.calmWheel || box.contains(document.activeElement) || (originalEvent as WheelEvent).ctrlKey;
+      interactions: interactions(({ type, originalEvent }) => {
+        // Asked for events of every kind.
+        const zooms = type === "wheel" && (!this.options.calmWheel || box.contains(document.activeElement) || (originalEvent as WheelEvent).ctrlKey);
         this.moved ||= zooms;
         return zooms;
       }),
