@@ -117,7 +117,7 @@ fn line(info: &TenantInfo) -> String {
         limit(*sessions),
         stored.stored_bytes,
         limit(*stored_bytes),
-        stored.job_bytes,
+        info.job_bytes,
         limit(*job_bytes)
     );
     let rates = [(epochs_per_s, "epochs a second"), (cpu_s_per_minute, "s of processor a minute")];

@@ -505,6 +505,10 @@ mod tests {
         Arc::new(JobFiles::open(folder.to_owned(), limits, &named, true).await.unwrap())
     }
 
+    fn begin(files: &Arc<JobFiles>) -> Result<Upload, JobError> {
+        Upload::begin_at(files, Allowance::unlimited())
+    }
+
     async fn stored(upload: &mut Upload, bytes: &[u8]) -> Result<StoredFile, JobError> {
         let mut file = upload.begin().await?;
         file.write(bytes).await?;
@@ -520,17 +524,14 @@ mod tests {
     async fn equal_files_are_one_and_limits_leave_nothing() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 150).await;
-        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
-        assert!(matches!(
-            Upload::begin_at(&files, Allowance::unlimited()),
-            Err(JobError::TooManyUploads { limit: 1 })
-        ));
+        let mut upload = begin(&files).unwrap();
+        assert!(matches!(begin(&files), Err(JobError::TooManyUploads { limit: 1 })));
         let first = stored(&mut upload, &[7; 90]).await.unwrap();
         let again = stored(&mut upload, &[7; 60]).await.unwrap();
         assert_ne!(first.hash, again.hash);
         assert!(matches!(upload.begin().await, Err(JobError::TooManyFiles { limit: 2 })));
         drop(upload);
-        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
+        let mut upload = begin(&files).unwrap();
         // 150 bytes are used.
         let refused = stored(&mut upload, &[7; 60]).await;
         assert!(matches!(refused, Err(JobError::SpaceExhausted { limit: 150 })));
@@ -578,7 +579,7 @@ mod tests {
     async fn a_file_stays_while_it_is_held_or_named() {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 1000).await;
-        let mut upload = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
+        let mut upload = begin(&files).unwrap();
         let held = stored(&mut upload, b"held").await.unwrap();
         let named = stored(&mut upload, b"named").await.unwrap().hash.clone();
         drop(upload);
@@ -594,7 +595,7 @@ mod tests {
         assert_eq!(count(folder.path()), 1);
         assert_eq!(fs::read(files.input(&named)).unwrap(), b"named");
         assert_eq!(files.used.load(Ordering::Acquire), 5);
-        let mut twice = Upload::begin_at(&files, Allowance::unlimited()).unwrap();
+        let mut twice = begin(&files).unwrap();
         stored(&mut twice, b"named").await.unwrap();
         assert_eq!((count(folder.path()), files.used.load(Ordering::Acquire)), (1, 5));
     }

@@ -178,7 +178,7 @@ mod tests {
         assert_eq!(went_on.percent(), 70.0);
         assert_eq!(went_on.epochs_per_second(15_000), Some(10.0));
         assert_eq!(went_on.remaining_s(15_000), Some(30.0));
-        // As long as nothing is read anew there is no estimate.
+        // The present run has read nothing yet, so its time left is unknown.
         let begun = running(JobProgress { read_bytes: 600, ..progress });
         assert_eq!(begun.remaining_s(15_000), None);
         let first = running(JobProgress { resumed_epochs: 0, resumed_bytes: 0, ..progress });

@@ -58,6 +58,8 @@ pub struct TenantInfo {
     pub rates: Rates,
     /// What it has stored.
     pub stored: TenantUse,
+    /// Bytes of the files of its jobs and uploads.
+    pub job_bytes: u64,
 }
 
 impl Meters {
@@ -151,8 +153,9 @@ impl TenantQuotas {
     async fn info(&self, row: TenantRow) -> Result<TenantInfo, QuotaError> {
         let TenantRow { tenant, created_unix_ms, quotas, changed } = row;
         let stored = self.0.store.tenant_use(&tenant).await?;
+        let job_bytes = self.0.store.tenant_job_bytes(&tenant).await?;
         let rates = self.0.meters.of(&tenant).rates();
-        Ok(TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored })
+        Ok(TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored, job_bytes })
     }
 
     /// Stops keeping up with changes. When this returns the desk no longer uses the store by

@@ -40,8 +40,6 @@ pub struct TenantUse {
     pub sessions: u64,
     /// Bytes of their epochs and solutions, approximately.
     pub stored_bytes: u64,
-    /// Bytes of the files of its jobs and uploads.
-    pub job_bytes: u64,
 }
 
 #[derive(sqlx::FromRow)]
@@ -182,7 +180,6 @@ impl Store {
         });
         let (sessions, bytes) = row.map_err(StoreError::database("counting what is stored"))?;
         let (sessions, stored_bytes) = (sessions as u64, bytes.max(0) as u64);
-        let job_bytes = self.tenant_job_bytes(tenant).await?;
-        Ok(TenantUse { sessions, stored_bytes, job_bytes })
+        Ok(TenantUse { sessions, stored_bytes })
     }
 }

@@ -116,7 +116,8 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
 const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {
-    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored } = info;
+    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored, job_bytes: used } =
+        info;
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
     let quotas =
         v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
@@ -129,7 +130,7 @@ fn message(info: TenantInfo) -> v1::Tenant {
             epochs_per_s: rates.epochs_per_s,
             cpu_s_per_minute: rates.cpu_s_per_minute,
             stored_bytes: stored.stored_bytes,
-            job_bytes: stored.job_bytes,
+            job_bytes: used,
         }),
         etag: changed.to_string(),
         create_time: timestamp(created_unix_ms),
