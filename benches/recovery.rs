@@ -202,6 +202,7 @@ impl Place {
                 copied.expect("the files of the database are copied");
             }
         }
+        let Self::Server(_) = self else { return };
         let allow =
             |is_allowed| format!("ALTER DATABASE {LIVE_DATABASE} ALLOW_CONNECTIONS {is_allowed}");
         let end = format!(
@@ -210,6 +211,8 @@ impl Place {
         );
         let copy = format!("CREATE DATABASE {CRASHED_DATABASE} TEMPLATE {LIVE_DATABASE}");
         self.execute(&[allow(false), end, copy, allow(true)]).await;
+        // The desk opens its connections again, which is not what is measured.
+        tokio::time::sleep(RECONNECTS_WITHIN).await;
     }
 
     /// Executes statements at the server, if there is one.
@@ -317,8 +320,6 @@ async fn measure(count: usize) {
         resident_mb(),
     );
     place.crash().await;
-    // On Postgres the desk opens its connections again, which is not what is measured.
-    tokio::time::sleep(RECONNECTS_WITHIN).await;
 
     let start = Instant::now();
     sessions.drain().await;
