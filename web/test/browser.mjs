@@ -62,16 +62,28 @@ async function mapMovesByKeys(page) {
   const small = await scale();
   await page.setViewportSize(FORMS[0].options.viewport);
   await until("a larger map is filled", 5, async () => (await scale()) !== small);
-  const near = await scale();
+  const near = await atRest(scale);
   await page.locator(".map").focus();
   await page.keyboard.press("-");
   await page.keyboard.press("-");
   await until("the map shows more", 5, async () => (await scale()) !== near);
-  const far = await scale();
+  const far = await atRest(scale);
   await epochsRise(page);
   assert.equal(await scale(), far, "the map stays where the user has moved it");
   await page.keyboard.press("0");
   await until("the map shows all", 5, async () => (await scale()) !== far);
+}
+
+/** What is read, once it has been the same for a second: a key of the map takes effect with animation, at a later frame. */
+async function atRest(read) {
+  let last = await read();
+  for (let same = 0; same < 10; ) {
+    await new Promise((resolve) => setTimeout(resolve, 100));
+    const now = await read();
+    same = now === last ? same + 1 : 0;
+    last = now;
+  }
+  return last;
 }
 
 /** Numbers move without a reload. */
