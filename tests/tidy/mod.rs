@@ -61,7 +61,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ),
     ("cluster", &["meters", "store", "aiding"]),
     ("feeds", &["gnss", "tenant", "refusal", "clock", "tls", "formats", "aiding"]),
-    ("recording", &["gnss", "config", "snapshot", "formats", "positioning"]),
+    ("recording", &["gnss", "config", "snapshot", "models", "formats", "positioning"]),
     (
         "session",
         &[

@@ -110,7 +110,7 @@ impl<'a> BaseRecording<'a> {
         reference: TimeReference,
         navigation: &Navigation,
     ) -> Result<Self, RecordingError> {
-        Self::open(input, position, &Dating::given(reference), navigation)
+        Self::open(input, position, &Dating::new(Some(reference)), navigation)
     }
 
     /// Reads up to the rover's time; [`Self::aiding`] then returns the new epochs.

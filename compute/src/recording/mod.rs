@@ -8,6 +8,9 @@
 //! answer the estimator gives ([`AnswerKind`]). [`Provenance`] reports these decisions and the
 //! skipped content.
 //!
+//! [`Survey`] tells time, place and ephemerides of a recording's own files, before the rest is
+//! chosen.
+//!
 //! Nothing here opens a file. An [`Input`] is a name and a way to read its bytes from the first
 //! one; it is read several times, to recognise its format, to date it and to find the station.
 
@@ -22,6 +25,7 @@ mod odometry;
 mod provenance;
 mod reading;
 mod solutions;
+mod survey;
 mod writing;
 
 pub use answers::{AnswerKind, Solver};
@@ -32,4 +36,5 @@ pub use input::Input;
 pub use provenance::{AntennaProvenance, BaseProvenance, Provenance};
 pub use reading::{Recording, RecordingInputs};
 pub use solutions::Solutions;
+pub use survey::{InForce, Survey};
 pub use writing::{SolutionWriter, Tally, comments_of};

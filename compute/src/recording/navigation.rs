@@ -18,9 +18,9 @@ pub(super) struct Dating {
 }
 
 impl Dating {
-    /// Dates a file by this reference, unless it has a time of its own.
-    pub(super) const fn given(reference: TimeReference) -> Self {
-        Self { given: Some(reference), found: None }
+    /// Dates a file by this reference, if there is one, unless it has a time of its own.
+    pub(super) const fn new(given: Option<TimeReference>) -> Self {
+        Self { given, found: None }
     }
 
     /// The reference of a file: its own time, else the one given, else the recording's.
@@ -51,7 +51,7 @@ impl<'a> NavigationFiles<'a> {
         observations: &[&'a Input],
         given: Option<TimeReference>,
     ) -> Result<Self, RecordingError> {
-        let mut dating = Dating { given, found: None };
+        let mut dating = Dating::new(given);
         for input in observations {
             if dating.found.is_none()
                 && let Some(TimeReference::Day(time)) = dating.of(input)?

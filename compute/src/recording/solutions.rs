@@ -127,6 +127,11 @@ impl<'a> Solutions<'a> {
         advanced.map(|()| self.solver.is_some())
     }
 
+    /// Number of the rover's epochs that are read.
+    pub const fn epochs(&self) -> u64 {
+        self.epochs
+    }
+
     fn advance(&mut self) -> Result<(), RecordingError> {
         let Some(solver) = &mut self.solver else { return Ok(()) };
         if self.recording.read_epoch(&mut self.epoch)? {

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use crate::gnss::{Constellation, Ecef, GpsTime, ObservationCode, TimeScale};
+use crate::gnss::{
+    Constellation, Ecef, Ephemeris, Epoch, GpsTime, Navigation, ObservationCode, TimeScale,
+};
 
 /// A RINEX version, such as 3.05.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -59,6 +61,24 @@ pub struct ObservationHeader {
 }
 
 impl ObservationHeader {
+    /// Adds the observation codes of an epoch.
+    pub fn add_codes(&mut self, epoch: &Epoch) {
+        for observation in &epoch.observations {
+            let codes = &mut self.codes[observation.satellite.constellation.index()];
+            if !codes.contains(&observation.code) {
+                codes.push(observation.code);
+            }
+        }
+    }
+
+    /// Adds the channels that ephemerides of GLONASS satellites state.
+    pub fn add_channels(&mut self, navigation: &Navigation) {
+        for (satellite, ephemerides) in navigation.satellites() {
+            let channel = ephemerides.last().and_then(Ephemeris::glonass_channel);
+            self.glonass_channels.extend(channel.map(|channel| (satellite.number, channel)));
+        }
+    }
+
     /// A header with nothing but its version; epochs are in GPS time.
     pub const fn new(version: RinexVersion) -> Self {
         Self {
