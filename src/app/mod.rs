@@ -31,8 +31,8 @@ use crate::contract::nodes::Nodes;
 use crate::contract::{Service, WebOrigins};
 use crate::feeds::ntrip::{Credentials, NtripVersion, StreamRequest};
 use crate::feeds::{
-    ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationSources,
-    NetworkRequest, TimeLimits,
+    ArchiveTemplate, Connector, FeedOptions, Feeds, FetchError, FetchPolicy, NavigationArchives,
+    NavigationSources, NetworkRequest, TimeLimits,
 };
 use crate::formats::{antex, decompress, geoid};
 use crate::gnss::{AntennaCatalogue, Geoid};
@@ -80,11 +80,13 @@ pub async fn open(
     let catalogue = antenna_catalogue(antennas)?;
     let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
     let sources = navigation_sources(navigation)?;
+    let templates = sources.archives.clone();
     let origins = WebOrigins::new(&configuration.cors)?;
     let connector = connector(fetch, time_limits)?;
     // The operator's sources may be anywhere, those of clients only at the listed hosts.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
+    let archives = NavigationArchives::new(templates, operator_connector.clone());
     let node = node_name(configuration);
     let secrets = secrets(&configuration.secrets)?;
     let exporter = exporter(&configuration.telemetry, &node)?;
@@ -104,8 +106,9 @@ pub async fn open(
     }
     let nodes = cluster.map(|cluster| nodes(cluster, &configuration.cluster)).transpose()?;
     let (lane, jobs) = (sessions.batch_lane(), configuration.jobs.clone());
+    let means = (lane, connector, archives);
     let desks = (store.clone(), aiding.clone(), sessions.meters().clone());
-    let jobs = match Jobs::open(desks, (lane, connector), jobs, node.clone(), geoid).await {
+    let jobs = match Jobs::open(desks, means, jobs, node.clone(), geoid).await {
         Ok(jobs) => jobs,
         Err(error) => {
             store.close().await; // A node gives up its lease at once.

@@ -256,7 +256,6 @@ impl From<JobError> for Refusal {
             JobError::InvalidOption { field, .. } | JobError::Fetch { field, .. } => Some(field),
             JobError::UploadNotFound { .. } => Some("upload"),
             JobError::UploadOffset { .. } => Some("Upload-Offset"),
-            JobError::BaseRequired { .. } => Some("base"),
             JobError::Frame(_) => Some("options.overrides.frame"),
             JobError::FormatNotBuilt { .. } => Some("options.format"),
             JobError::GeoidMissing => Some("options.overrides.geoid"),

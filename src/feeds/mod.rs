@@ -17,6 +17,7 @@
 
 mod address;
 mod archive;
+mod archived;
 mod backoff;
 mod base_archive;
 mod connection;
@@ -39,6 +40,8 @@ pub use address::FetchPolicy;
 
 pub use crate::tls::Connection;
 pub use archive::ArchiveTemplate;
+pub use archived::NavigationArchives;
+pub(crate) use archived::{ArchivedFile, files as archived_files};
 pub(crate) use backoff::Backoff;
 pub use connection::{Connector, TimeLimits};
 pub use desk::Feeds;

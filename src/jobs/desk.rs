@@ -7,7 +7,7 @@ use tokio::task::JoinSet;
 
 use crate::aiding::AidingDesk;
 use crate::config::JobsConfiguration;
-use crate::feeds::Connector;
+use crate::feeds::{Connector, NavigationArchives};
 use crate::gnss::Geoid;
 use crate::quotas::Meters;
 use crate::session::{BatchLane, SessionError};
@@ -34,8 +34,6 @@ pub struct UploadedFile {
     pub part: Part,
     /// Its name at the user.
     pub name: String,
-    /// Whether the service has added it.
-    pub is_own: bool,
     /// The file.
     pub file: StoredFile,
 }
@@ -70,7 +68,7 @@ impl Jobs {
     /// The store or the folder cannot be read, or another node of the cluster has another folder.
     pub async fn open(
         (store, aiding, meters): (Store, AidingDesk, Meters),
-        (lane, connector): (BatchLane, Connector),
+        (lane, connector, archives): (BatchLane, Connector, NavigationArchives),
         limits: JobsConfiguration,
         node: String,
         geoid: Option<Arc<Geoid>>,
@@ -94,7 +92,7 @@ impl Jobs {
         let (running, is_on) = (limits.running, files.is_some());
         let stored = (store, Aiding::Service(Box::new(aiding)), meters);
         let desk = Desk::new(stored, (lane, connector), limits, files, node).with_geoid(geoid);
-        let desk = Arc::new(desk);
+        let desk = Arc::new(desk.with_archives(archives));
         if is_on {
             (0..running).for_each(|_| drop(tasks.spawn(queue::work(desk.clone()))));
             tasks.spawn(queue::expire(desk.clone()));
@@ -126,9 +124,9 @@ impl Jobs {
     /// is not.
     ///
     /// # Errors
-    /// A part is missing, an option does not exist or does not fit, the tenant has no such session,
-    /// a URL is not allowed, there are more files than allowed, the tenant has used its quota of
-    /// bytes, another request had this idempotency key, or the store fails.
+    /// The rover's part is missing, an option does not exist or does not fit, the tenant has no
+    /// such session, a URL is not allowed, there are more files than allowed, the tenant has used
+    /// its quota of bytes, another request had this idempotency key, or the store fails.
     pub async fn submit(&self, submission: Submission) -> Result<(JobInfo, bool), JobError> {
         let Submission { mut options, files, urls, webhook, idempotency_key } = submission;
         let connector = self.desk.connector.of(&self.tenant);
@@ -145,7 +143,7 @@ impl Jobs {
             name: uploaded.name.clone(),
             hash: uploaded.file.hash.clone(),
             bytes: uploaded.file.bytes,
-            is_own: uploaded.is_own,
+            is_own: false,
             url: None,
         });
         let mut inputs: Vec<_> = inputs.collect();
@@ -158,7 +156,8 @@ impl Jobs {
             return Ok((before, false));
         }
         request.session = self.session_input(&request).await?;
-        self.desk.plan(&request)?;
+        let plan = self.desk.plan(&request)?;
+        let is_unfetched = !urls.is_empty() || request.lacks_aiding(&plan.options);
         self.check_waiting().await?;
         self.desk.allowance(&self.tenant).await?; // Its result needs room, too.
         let new = NewJob {
@@ -168,12 +167,12 @@ impl Jobs {
             request_hash,
             idempotency_key,
             created_unix_ms: self.unix_ms(),
-            is_unfetched: !urls.is_empty(),
+            is_unfetched,
             webhook_secret: webhook.map(|webhook| webhook.secret.text().to_owned()),
         };
         let (row, is_new) = self.desk.store.create_job(&new).await?;
         let job = same_request(row, &new.request_hash)?;
-        let waking = if urls.is_empty() { &self.desk.queued } else { &self.desk.unfetched };
+        let waking = if is_unfetched { &self.desk.unfetched } else { &self.desk.queued };
         waking.notify_one();
         Ok((job, is_new))
     }

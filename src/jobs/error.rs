@@ -69,12 +69,6 @@ pub enum JobError {
     /// The mode, profile or an override does not exist.
     #[error(transparent)]
     Configuration(#[from] ConfigError),
-    /// The mode is relative to a base, and no base is given.
-    #[error("mode {mode} needs the part base")]
-    BaseRequired {
-        /// Name of the mode.
-        mode: &'static str,
-    },
     /// Positions relative to the base cannot be given in the frame that is asked for.
     #[error("positions cannot be given in the ETRS89: {0}; the override base_frame states a frame")]
     Frame(FrameRefusal),
@@ -201,7 +195,6 @@ impl JobError {
             Self::Quota(error) => error.code(),
             Self::InvalidOption { .. } => Code::InvalidField,
             Self::Configuration(error) => error.code(),
-            Self::BaseRequired { .. } => Code::BaseRequired,
             Self::Frame(_) => Code::FrameUnavailable,
             Self::FormatNotBuilt { .. } => Code::FeatureNotBuilt,
             Self::GeoidMissing => Code::GeoidMissing,
@@ -227,7 +220,6 @@ impl JobError {
     pub const fn field(&self) -> Option<&'static str> {
         match self {
             Self::InvalidOption { field, .. } | Self::Fetch { field, .. } => Some(field),
-            Self::BaseRequired { .. } => Some("base"),
             Self::UploadNotFound { .. } => Some("upload"),
             Self::Frame(_) => Some("options.overrides.frame"),
             Self::FormatNotBuilt { .. } => Some("options.format"),

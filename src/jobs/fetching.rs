@@ -1,4 +1,5 @@
-//! The task that fetches the inputs of jobs that are URLs. A job waits until all are stored.
+//! The task that fetches the inputs of jobs that are URLs, and adds those that the service has of
+//! its own. A job waits until all are stored.
 //!
 //! Nothing of it is stored before all inputs are: after a restart they are fetched again.
 
@@ -20,9 +21,10 @@ use super::JobError;
 use super::arriving::{ArrivingFile, Upload};
 use super::files::StoredFile;
 use super::info::JobInfo;
+use super::own::Adding;
 use super::report::Failure;
 use super::request::{JobInput, JobRequest, Part};
-use super::state::{Desk, Running};
+use super::state::{Desk, Running, unless_stopped};
 
 /// Interval at which the store is asked for jobs whose inputs are to be fetched.
 const ASK: Duration = Duration::from_secs(1);
@@ -42,8 +44,6 @@ const DELAY: Duration = Duration::from_secs(2);
 const DELAY_CEILING: Duration = Duration::from_secs(60);
 /// Chunks between the host and the disk.
 const CHUNKS: usize = 4;
-/// Interval at which a fetch looks whether its job is cancelled.
-const LOOK: Duration = Duration::from_millis(200);
 /// Longest name of an input (characters).
 const NAME_MAX: usize = 200;
 
@@ -57,6 +57,7 @@ pub(super) async fn fetch(desk: Arc<Desk>) {
             Some(ended) = fetches.join_next_with_id() => {
                 let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
                 busy.remove(&id);
+                begin(&desk, &mut fetches, &mut busy).await;
             }
             () = desk.unfetched.notified() => begin(&desk, &mut fetches, &mut busy).await,
             _ = look.tick() => begin(&desk, &mut fetches, &mut busy).await,
@@ -118,10 +119,10 @@ async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
 async fn inputs(
     desk: &Desk,
     row: JobRow,
-    running: &Running,
+    running: &Arc<Running>,
 ) -> Result<Option<(JobRequest, Vec<StoredFile>)>, Failure> {
-    let (connector, allowance) =
-        (desk.connector.of(&row.tenant), desk.allowance(&row.tenant).await);
+    let (tenant, running) = (row.tenant.clone(), running.clone());
+    let (connector, allowance) = (desk.connector.of(&tenant), desk.allowance(&tenant).await);
     let refused = |error: &JobError, part| Failure::new(error.code(), error.to_string(), part);
     let mut request = JobInfo::of(row).map_err(|error| refused(&error.into(), None))?.request;
     let files = desk.files().map_err(|error| refused(&error, None))?;
@@ -129,7 +130,7 @@ async fn inputs(
     let (mut upload, mut stored) = (Upload::fetch_to(files, allowance), Vec::new());
     for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
         let part = Some(input.part.name());
-        let fetching = tried((desk, &connector), &mut upload, input, running);
+        let fetching = tried((desk, &connector), &mut upload, input, &running);
         match fetching.await.map_err(|error| Failure::new(error.code(), error.text(), part))? {
             None => return Ok(None),
             Some(file) => {
@@ -138,6 +139,9 @@ async fn inputs(
             }
         }
     }
+    let adding = Adding { desk, tenant, running, upload: &mut upload };
+    let Some(added) = adding.add(&mut request).await? else { return Ok(None) };
+    stored.extend(added);
     Ok(Some((request, stored)))
 }
 
@@ -172,16 +176,7 @@ impl Unfetched {
 
     /// Whether another try may succeed.
     fn is_passing(&self) -> bool {
-        let Self::Web(error) = self else { return false };
-        let passing = [
-            Code::HostUnresolved,
-            Code::HostUnreachable,
-            Code::HostSlow,
-            Code::HostRefuses,
-            Code::HostProtocol,
-            Code::FileCut,
-        ];
-        passing.contains(&error.code())
+        matches!(self, Self::Web(error) if error.is_passing())
     }
 }
 
@@ -243,22 +238,6 @@ async fn fetched(
     let file = written?;
     downloaded?;
     file.finish().await.map_err(Unfetched::Job)
-}
-
-/// The result of `work`; `None` if the job is stopped before.
-pub(super) async fn unless_stopped<T>(
-    running: &Running,
-    work: impl Future<Output = T>,
-) -> Option<T> {
-    let stopped = async {
-        while !running.is_stopped() {
-            sleep(LOOK).await;
-        }
-    };
-    tokio::select! {
-        done = work => Some(done),
-        () = stopped => None,
-    }
 }
 
 /// A URL in place of an uploaded file.

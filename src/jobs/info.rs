@@ -126,6 +126,8 @@ impl JobInfo {
 mod tests {
     use std::collections::BTreeMap;
 
+    use crate::store::BaseChoice;
+
     use super::super::request::{BaseOrigin, JobInput, JobOptions};
     use super::*;
 
@@ -163,6 +165,7 @@ mod tests {
             base_position: BaseOrigin::Any,
             format: "pos".to_owned(),
             near_ns: None,
+            bases: BaseChoice::None,
             session: None,
             webhook: None,
         }

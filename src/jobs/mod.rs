@@ -9,7 +9,8 @@
 //! - **Uploads** stream to files that are named after the hash of their content; equal files are
 //!   one.
 //! - **Uploads of several requests** go on after a break, by the bytes that are stored.
-//! - **URLs** in place of files are fetched to such files before their job can run.
+//! - **URLs** in place of files are fetched to such files before their job can run. So is what a
+//!   job lacks and the service has: ephemerides and a base.
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
 //!   pool, in the lane of the lowest share, so that live sessions come first.
 //! - **The end** of a job is written with the fence of its claim. A run that was cancelled, or
@@ -36,6 +37,7 @@ mod files;
 mod info;
 mod message;
 mod named;
+mod own;
 mod queue;
 mod report;
 mod request;

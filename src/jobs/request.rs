@@ -103,6 +103,10 @@ pub struct JobOptions {
     pub format: String,
     /// A time within half a day of the first message (ns of GPS time), for messages without week.
     pub near_ns: Option<i64>,
+    /// Ids of the bases whose stored epochs stand in for a file of the base; none for the nearest,
+    /// and of a session for those of its source.
+    #[serde(default, skip_serializing_if = "BaseChoice::is_none")]
+    pub bases: BaseChoice<String>,
     /// A session in place of the rover's file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionSource>,
@@ -165,6 +169,27 @@ impl JobRequest {
         Self { options, inputs, session: None }
     }
 
+    /// Adds an input.
+    pub(super) fn add(&mut self, input: JobInput) {
+        self.inputs.push(input);
+        self.inputs.sort_by_key(|input| input.part);
+    }
+
+    /// Whether there are no files of navigation data, nor a session that has its own.
+    pub(super) fn lacks_navigation(&self) -> bool {
+        self.options.session.is_none() && self.input(Part::Navigation).is_none()
+    }
+
+    /// Whether there is no file of a base for positions that are relative to one.
+    pub(super) fn lacks_base(&self, options: &PositioningOptions) -> bool {
+        self.options.session.is_none() && options.mode.is_relative() && !self.has_base()
+    }
+
+    /// Whether the service is to add navigation data or a base, if the files need them.
+    pub(super) fn lacks_aiding(&self, options: &PositioningOptions) -> bool {
+        self.lacks_navigation() || self.lacks_base(options)
+    }
+
     /// The input of a part.
     pub fn input(&self, part: Part) -> Option<&JobInput> {
         self.inputs.iter().find(|input| input.part == part)
@@ -193,9 +218,8 @@ impl JobRequest {
         };
         let counts = (count(Part::Rover), count(Part::Navigation), count(Part::Base));
         match (&self.session, counts) {
-            (None, (1, 1.., 0 | 1)) | (Some(_), (0, 0, 0 | 1)) => {}
+            (None, (1, _, 0 | 1)) | (Some(_), (0, 0, 0 | 1)) => {}
             (None, (0, ..)) => return wrong("rover", "the part rover is missing"),
-            (None, (1, 0, _)) => return wrong("navigation", "the part navigation is missing"),
             (Some(_), (1.., ..)) => {
                 return wrong("rover", "the part rover and options.session are both given");
             }
@@ -210,8 +234,11 @@ impl JobRequest {
             None => self.options.positioning()?,
             Some(session) => session.positioning()?,
         };
-        let has_base = self.session.is_some() || count(Part::Base) == 1;
-        self.options.plan(options, has_base)
+        if self.options.base_position != BaseOrigin::Any && !self.has_base() {
+            let message = "it is the position of the part base, which is missing";
+            return wrong("options.basePosition", message);
+        }
+        self.options.plan(options)
     }
 
     /// Whether there is a file of a base.
@@ -302,12 +329,9 @@ impl JobOptions {
         })
     }
 
-    fn plan(&self, options: PositioningOptions, has_base: bool) -> Result<Plan, JobError> {
+    fn plan(&self, options: PositioningOptions) -> Result<Plan, JobError> {
         let wrong = |field, message: String| JobError::InvalidOption { field, message };
         let mode = options.mode.name();
-        if options.mode.is_relative() && !has_base {
-            return Err(JobError::BaseRequired { mode });
-        }
         if options.mode.is_relative() {
             options.output.presentation(None).check(None).map_err(JobError::Frame)?;
         }
@@ -338,6 +362,15 @@ impl JobOptions {
                 Some(BasePosition::Marker(marker))
             }
         };
+        if self.near_ns.is_some() && self.session.is_some() {
+            return Err(wrong(
+                "options.near",
+                "the epochs of a session have their times".to_owned(),
+            ));
+        }
+        if self.near_ns.is_some_and(|ns| ns < 0) {
+            return Err(wrong("options.near", "it is before the begin of GPS time".to_owned()));
+        }
         let reference = self.near_ns.map(|ns| TimeReference::Day(GpsTime::from_ns(ns)));
         Ok(Plan { options, answer, format, base_position, reference })
     }

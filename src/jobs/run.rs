@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::fs::File;
-use std::io::{self, BufRead, BufWriter};
+use std::io::{self, BufWriter};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,16 +21,13 @@ use crate::store::{JobProgress, Store};
 use crate::tenant::Tenant;
 
 use super::checkpoints::{Checkpoints, Found};
-use super::fetching::unless_stopped;
 use super::files::JobFiles;
 use super::request::{JobInput, JobRequest, Part, Plan};
 use super::sources::{Files, SessionEpochs, Source};
-use super::state::Running;
+use super::state::{LOOK, Running, unless_stopped};
 use super::watched::Watched;
 use super::{Failure, JobError, Report};
 
-/// Interval at which a run that waits for a turn looks whether it is stopped.
-const LOOK: Duration = Duration::from_secs(1);
 /// Answers of a run before that are written in a turn: some milliseconds.
 const ANSWERS_PER_TURN: usize = 512;
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
@@ -209,7 +206,9 @@ impl Run {
         self.running.set_cpu(used.elapsed());
         advanced?;
         space.grow_to(output.writer.bytes())?;
+        // A batch has no answers before its end, and answers of a window come later.
         let Tally { epochs, answered, .. } = output.tally;
+        let epochs = epochs.max(source.epochs());
         let read_bytes = source.passed();
         let (resumed_epochs, resumed_bytes) = output.resumed;
         let taken_over = JobProgress { resumed_epochs, resumed_bytes, ..JobProgress::default() };
@@ -367,13 +366,7 @@ impl Run {
     /// An input file by its name in the upload.
     fn input(&self, watched: &Watched, file: &JobInput, name: &str) -> Input {
         let opened = self.inputs.get(&file.hash).expect("all inputs were opened").clone();
-        let (limit, part) = (self.unpacked_bytes, file.part);
-        let (watched, named) = (watched.clone(), name.to_owned());
-        let open = move || {
-            let reader = watched.open(opened.clone(), limit, part, named.clone())?;
-            Ok(Box::new(reader) as Box<dyn BufRead>)
-        };
-        Input::unpacked(name.to_owned(), open)
+        watched.input(opened, self.unpacked_bytes, file.part, name)
     }
 }
 

@@ -45,6 +45,9 @@ pub(super) trait Source {
     /// Leap seconds of the navigation data.
     fn leap_seconds(&self) -> LeapSeconds;
 
+    /// Number of the rover's epochs that are read.
+    fn epochs(&self) -> u64;
+
     /// Bytes of the rover's file, or numbers of the session's epochs, that are read.
     fn passed(&self) -> u64;
 
@@ -96,6 +99,10 @@ impl Source for Files<'_> {
 
     fn leap_seconds(&self) -> LeapSeconds {
         self.solutions.leap_seconds()
+    }
+
+    fn epochs(&self) -> u64 {
+        self.solutions.epochs()
     }
 
     fn passed(&self) -> u64 {
@@ -198,6 +205,10 @@ impl Source for SessionEpochs<'_> {
         self.rerun.leap_seconds()
     }
 
+    fn epochs(&self) -> u64 {
+        self.epochs
+    }
+
     fn passed(&self) -> u64 {
         self.rerun.passed()
     }
@@ -225,6 +236,8 @@ impl Source for SessionEpochs<'_> {
         } else if self.mode.is_relative() && self.rerun.base().is_none() {
             lines.push("base epochs are those that are stored now".to_owned());
         }
+        let bases = self.rerun.bases();
+        lines.extend((!bases.is_empty()).then(|| format!("base {}", bases.join(", "))));
         if let Some(removed) = self.rerun.removed_through() {
             lines.push(format!(
                 "warning: epochs through {removed} were removed by the session's retention before \

@@ -7,11 +7,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{Notify, watch};
+use tokio::time::sleep;
 
 use crate::aiding::{AidingDesk, AidingError, AidingLimits};
 use crate::clock::Clock;
 use crate::config::JobsConfiguration;
-use crate::feeds::Connector;
+use crate::feeds::{Connector, NavigationArchives};
 use crate::gnss::Geoid;
 use crate::quotas::Meters;
 use crate::session::BatchLane;
@@ -20,6 +21,12 @@ use crate::store::{JobProgress, Store};
 use super::files::JobFiles;
 use super::request::{JobRequest, Plan};
 use super::{JobError, JobId};
+
+/// Interval at which a run that waits for a turn looks whether it is stopped.
+pub(super) const LOOK: Duration = Duration::from_secs(1);
+
+/// Interval at which what can be stopped looks whether it is.
+const STOP_LOOK: Duration = Duration::from_millis(200);
 
 /// The desk.
 pub(super) struct Desk {
@@ -32,6 +39,8 @@ pub(super) struct Desk {
     pub(super) lane: BatchLane,
     /// Contacts the hosts that clients name.
     pub(super) connector: Connector,
+    /// The operator's archives of ephemerides; `None` in a worker.
+    pub(super) archives: Option<NavigationArchives>,
     /// The operator's table of the geoid.
     pub(super) geoid: Option<Arc<Geoid>>,
     pub(super) clock: Clock,
@@ -84,6 +93,7 @@ impl Desk {
             limits,
             lane,
             connector,
+            archives: None,
             geoid: None,
             clock: Clock::system(),
             node,
@@ -98,6 +108,11 @@ impl Desk {
     /// The desk with a table of the geoid.
     pub(super) fn with_geoid(self, geoid: Option<Arc<Geoid>>) -> Self {
         Self { geoid, ..self }
+    }
+
+    /// The desk with archives of ephemerides.
+    pub(super) fn with_archives(self, archives: NavigationArchives) -> Self {
+        Self { archives: Some(archives), ..self }
     }
 
     /// What is stored of bases and ephemerides.
@@ -232,4 +247,20 @@ pub(super) fn folder(limits: &JobsConfiguration, store: &Store) -> Option<PathBu
         name.push(".jobs");
         Some(name.into())
     })
+}
+
+/// The result of `work`; `None` if the job is stopped before.
+pub(super) async fn unless_stopped<T>(
+    running: &Running,
+    work: impl Future<Output = T>,
+) -> Option<T> {
+    let stopped = async {
+        while !running.is_stopped() {
+            sleep(STOP_LOOK).await;
+        }
+    };
+    tokio::select! {
+        done = work => Some(done),
+        () = stopped => None,
+    }
 }

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use crate::formats::{UnpackError, unpack_error, unpack_reader_within};
-use crate::recording::RecordingError;
+use crate::recording::{Input, RecordingError};
 
 use super::Failure;
 use super::request::Part;
@@ -27,8 +27,18 @@ struct Reports {
 }
 
 impl Watched {
+    /// An input that is read from its first byte each time, within the limits of unpacking.
+    pub(super) fn input(&self, file: Arc<File>, limit: u64, part: Part, name: &str) -> Input {
+        let (watched, named) = (self.clone(), name.to_owned());
+        let open = move || {
+            let reader = watched.open(file.clone(), limit, part, named.clone())?;
+            Ok(Box::new(reader) as Box<dyn BufRead>)
+        };
+        Input::unpacked(name.to_owned(), open)
+    }
+
     /// Opens an input within the limits of unpacking.
-    pub(super) fn open(
+    fn open(
         &self,
         file: Arc<File>,
         limit: u64,

@@ -325,7 +325,7 @@ async fn what_is_no_job_over_a_session_is_refused() {
             "options.to",
         ),
         (json!({"from": time(2)}), 400, "INVALID_FIELD", "options.from"),
-        (json!({"base": "nearest"}), 400, "INVALID_FIELD", "options.base"),
+        (json!({"base": "nearest"}), 400, "INVALID_FIELD", "rover"),
     ] {
         let (answered, problem) = post(&doors, asked(&options), &[]).await;
         let got = (answered.as_u16(), code(&problem), problem["field"].as_str());

@@ -180,7 +180,7 @@ async fn urls_that_are_not_allowed_are_refused() {
         (urls(&both("http://10.0.0.1/")), 409, "HOST_NOT_ALLOWED", Some("options.urls")),
         (urls(&[("truth", here)]), 400, "INVALID_FIELD", Some("options.urls[0].part")),
         (urls(&[("navigation", here)]), 400, "INVALID_FIELD", Some("rover")),
-        (urls(&[("rover", here), ("rover", here)]), 400, "INVALID_FIELD", Some("navigation")),
+        (urls(&[("rover", here), ("rover", here)]), 400, "INVALID_FIELD", Some("rover")),
         (
             urls(&[("rover", here), ("navigation", here), ("base", here)]),
             413,

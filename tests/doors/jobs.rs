@@ -22,7 +22,6 @@ use tower::ServiceExt;
 use crate::support::casters::{BRISK, PATIENCE};
 use crate::support::database::{Database, on_both_databases, on_postgres};
 use crate::support::doors::{Doors, code};
-use crate::support::drive::DRIVE;
 use crate::support::jobs::{BOUNDARY, LONG, MINUTE, body};
 
 on_both_databases!(
@@ -314,7 +313,6 @@ async fn what_is_no_job_is_refused_and_leaves_nothing() {
     headless.resize(3 << 20, b'x');
     for (content, status, expected, field) in [
         (body(&[("navigation", navigation)]), 400, "INVALID_FIELD", Some("rover")),
-        (body(&[("rover", rover)]), 400, "INVALID_FIELD", Some("navigation")),
         (body(&[("rover", rover), ("truth", rover)]), 400, "UNKNOWN_FIELD", Some("truth")),
         (
             body(&[("rover", rover), ("rover", rover), ("navigation", navigation)]),
@@ -330,7 +328,18 @@ async fn what_is_no_job_is_refused_and_leaves_nothing() {
         ),
         (body(&[("rover", &large)]), 413, "JOB_TOO_LARGE", Some("rover")),
         (with("{\"mode\": \"ppp\"}"), 400, "UNKNOWN_MODE", Some("options.mode")),
-        (with("{\"mode\": \"rtk-fgo\"}"), 400, "BASE_REQUIRED", Some("base")),
+        (
+            with("{\"basePosition\": {\"xM\": 4e6, \"yM\": 5e5, \"zM\": 5e6}}"),
+            400,
+            "INVALID_FIELD",
+            Some("options.basePosition"),
+        ),
+        (
+            with("{\"near\": {\"week\": -5, \"nsOfWeek\": 0}}"),
+            400,
+            "INVALID_FIELD",
+            Some("options.near"),
+        ),
         (with("{\"format\": \"shp\"}"), 400, "INVALID_FIELD", Some("options.format")),
         (with("{\"mode\": \"spp\", \"batch\": true}"), 400, "INVALID_FIELD", Some("options.batch")),
         (
@@ -531,34 +540,6 @@ async fn without_a_folder_no_job_is_taken() {
         app.close().await;
     })
     .await;
-}
-
-/// The service's own ephemerides stand in for the part that is missing.
-#[tokio::test]
-async fn without_navigation_data_the_service_gives_its_own() {
-    let doors = doors(|_| {}).await;
-    let alone = || body(&[("rover", &MINUTE.rover[..])]);
-    let (status, refused) = post(&doors, alone(), &[]).await;
-    let got = (status.as_u16(), code(&refused), refused["field"].as_str());
-    assert_eq!(got, (400, "INVALID_FIELD", Some("navigation")), "{refused}");
-    let (status, _) = doors.upload("/v1/navigation", MINUTE.navigation.clone()).await;
-    assert_eq!(status, StatusCode::OK);
-    let named = [("idempotency-key", "alone")];
-    let (status, first) = post(&doors, alone(), &named).await;
-    assert_eq!(status, StatusCode::CREATED, "{first}");
-    let job = first["job"].as_str().unwrap();
-    let done = ended(&doors, job).await;
-    assert_eq!((&done["state"], &done["inputs"][1]["own"]), (&json!("SUCCEEDED"), &json!(true)));
-    assert_eq!(done["inputs"][0]["own"], false);
-    let (_, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
-    let said = report["provenance"].to_string();
-    assert!(said.contains("navigation: the service's own ephemerides"), "{said}");
-    let (_, own) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
-    assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"), "the same ephemerides");
-    // Other ephemerides since then make no other request of it.
-    doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
-    let (status, again) = post(&doors, alone(), &named).await;
-    assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
 }
 
 pub(super) fn new_job(id: &str, key: Option<&str>) -> NewJob {

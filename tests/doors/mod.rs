@@ -20,6 +20,7 @@ mod history;
 mod http;
 mod image;
 mod interface;
+mod job_aiding;
 mod job_events;
 mod job_sessions;
 mod job_urls;

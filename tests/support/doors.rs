@@ -69,6 +69,17 @@ impl Doors {
         Self::changed(place, limits, jobs, BRISK, change).await
     }
 
+    /// With these archives of ephemerides.
+    pub(crate) async fn with_archives(archives: Vec<String>) -> Self {
+        let place = (tempfile::tempdir().unwrap(), None);
+        let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
+        let change = |mut configuration: ServiceConfiguration| {
+            configuration.navigation.archives = archives;
+            configuration
+        };
+        Self::changed(place, limits, jobs, BRISK, change).await
+    }
+
     pub(crate) async fn open() -> Self {
         Self::with(Limits::standard()).await
     }

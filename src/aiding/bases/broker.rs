@@ -178,6 +178,11 @@ impl BaseBroker {
         Ok(self.base(id)?.name().clone())
     }
 
+    /// The id of the base of this key, if it still exists.
+    pub(crate) fn id_of(&self, key: BaseKey) -> Option<Arc<str>> {
+        Some(self.of_key(key)?.name().id.clone())
+    }
+
     /// The frame of the coordinates of the base of this id, if both are known.
     pub(crate) fn frame(&self, id: &str) -> Option<CoordinateFrame> {
         self.base(&BaseId::parse(id)?).ok()?.description.frame
@@ -353,11 +358,6 @@ impl BaseBroker {
     /// The bases of these names that still exist, in the order of the names.
     pub(crate) fn candidates(&self, names: &[BaseName]) -> Candidates {
         Candidates::new(names.iter().filter_map(|name| self.of_key(name.key)).collect())
-    }
-
-    /// The bases for which `may_be` holds.
-    pub(super) fn candidates_that(&self, may_be: impl Fn(&Base) -> bool) -> Candidates {
-        Candidates::new(self.read().values().filter(|base| may_be(base)).cloned().collect())
     }
 
     /// Views that contain the base epochs of earlier solutions, one view for each base. A deleted

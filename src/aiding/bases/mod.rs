@@ -25,6 +25,8 @@
 //! A session that uses the nearest of several bases asks its `Candidates` at each epoch. The
 //! choice is stored with the solution, so replay does not choose again.
 //!
+//! A batch job takes the stored epochs of its recording's time as a file (`PastBase`).
+//!
 //! # Memory
 //! All stored epochs of a base are also in memory, encoded. Limits bound them: beyond these the
 //! oldest epochs are deleted, in memory and in the store.
@@ -38,6 +40,7 @@ mod check;
 mod file;
 mod following;
 mod nearest_requests;
+mod past;
 mod pushing;
 mod tenant_bases;
 mod view;
@@ -55,6 +58,7 @@ pub(crate) use candidates::Candidates;
 pub use file::BaseFileError;
 pub use file::{BaseFile, BaseFileLimits};
 pub(crate) use nearest_requests::NearestBaseRequest;
+pub(crate) use past::PastBase;
 pub use tenant_bases::TenantBases;
 pub use view::{BaseInput, BaseView};
 

@@ -70,7 +70,7 @@ impl TenantBases<'_> {
 
     /// All bases that the tenant's sessions may take as the nearest.
     pub(crate) fn candidates(&self) -> Candidates {
-        self.broker.candidates_that(|base| self.may_use(base))
+        Candidates::new(self.usable())
     }
 
     /// Deletes a base of the tenant, as an act of `author`.
@@ -116,7 +116,17 @@ impl TenantBases<'_> {
         }
     }
 
-    fn visible(&self, id: &BaseId) -> Result<Arc<Base>, AidingError> {
+    /// Whether there is a base that the tenant's sessions may take as the nearest.
+    pub(crate) fn has_usable(&self) -> bool {
+        self.broker.read().values().any(|base| self.may_use(base))
+    }
+
+    /// All bases that the tenant's sessions may take as the nearest.
+    pub(super) fn usable(&self) -> Vec<Arc<Base>> {
+        self.broker.read().values().filter(|base| self.may_use(base)).cloned().collect()
+    }
+
+    pub(super) fn visible(&self, id: &BaseId) -> Result<Arc<Base>, AidingError> {
         let base = self.broker.base(id).ok().filter(|base| self.sees(base));
         base.ok_or_else(|| AidingError::BaseNotFound { id: id.to_string() })
     }

@@ -96,7 +96,7 @@ impl BaseView {
 
     /// The site of the base at its epoch `number`; none for number 0, which is before the first
     /// epoch.
-    fn site_at(&self, number: u64) -> Option<&BaseSite> {
+    pub(super) fn site_at(&self, number: u64) -> Option<&BaseSite> {
         let sites = self.sites.iter().rev();
         sites.filter(|_| 0 < number).find(|(since, _)| *since <= number).map(|(_, site)| site)
     }

@@ -26,6 +26,11 @@ pub(super) fn read(
 ) -> Result<JobOptions, Refusal> {
     let near = convert::time(message.near, "options.near")?;
     let session = session(caller, &message, has_base)?;
+    let bases = match &session {
+        Some(_) => BaseChoice::None, // It has them.
+        None => bases(caller, &message, has_base)?,
+    };
+    let is_relative = has_base || !bases.is_none();
     let answer = match (message.smoothed, message.batch) {
         (false, false) => "causal",
         (true, false) => "smoothed",
@@ -41,13 +46,14 @@ pub(super) fn read(
     // A session has its own.
     let standard = |name: &'static str| if session.is_some() { "" } else { name };
     Ok(JobOptions {
-        mode: or_standard(message.mode, standard(Mode::of_recording(has_base).name())),
+        mode: or_standard(message.mode, standard(Mode::of_recording(is_relative).name())),
         profile: or_standard(message.profile, standard(PROFILE)),
         overrides: message.overrides,
         answer: answer.to_owned(),
         base_position,
         format: or_standard(message.format, FORMAT),
         near_ns: near.map(GpsTime::as_ns),
+        bases,
         session,
         webhook: None,
     })
@@ -73,14 +79,9 @@ fn session(
     message: &v1::JobOptions,
     has_base: bool,
 ) -> Result<Option<SessionSource>, Refusal> {
-    let v1::JobOptions { session, from, to, base, bases, .. } = message;
+    let v1::JobOptions { session, from, to, .. } = message;
     if session.is_empty() {
-        let given = [
-            ("from", from.is_some()),
-            ("to", to.is_some()),
-            ("base", !base.is_empty()),
-            ("bases", !bases.is_empty()),
-        ];
+        let given = [("from", from.is_some()), ("to", to.is_some())];
         return match given.into_iter().find(|(_, is_given)| *is_given) {
             None => Ok(None),
             Some((field, _)) => {
@@ -90,10 +91,7 @@ fn session(
         };
     }
     caller.check_reader()?;
-    let bases = base_choice(caller, base, bases).map_err(|refusal| refusal.within("options"))?;
-    if has_base && bases != BaseChoice::None {
-        return contradiction("the part base", "base");
-    }
+    let bases = bases(caller, message, has_base)?;
     let span = (convert::time(*from, "options.from")?, convert::time(*to, "options.to")?);
     if span.0.zip(span.1).is_some_and(|(from, to)| to < from) {
         return Err(Refusal::new(Code::InvalidField, "to is before from").at("options.to"));
@@ -101,8 +99,29 @@ fn session(
     Ok(Some(SessionSource {
         id: texts::brief(session).to_owned(),
         span_ns: (span.0.map(GpsTime::as_ns), span.1.map(GpsTime::as_ns)),
-        bases: bases.try_map(|id| Ok::<_, Refusal>(id.to_string()))?,
+        bases,
     }))
+}
+
+/// The bases of the service whose stored epochs are used in place of the part base.
+///
+/// # Errors
+/// There is no such base, or the part is given, too.
+fn bases(
+    caller: &Caller,
+    message: &v1::JobOptions,
+    has_base: bool,
+) -> Result<BaseChoice<String>, Refusal> {
+    let v1::JobOptions { base, bases, .. } = message;
+    let bases = base_choice(caller, base, bases).map_err(|refusal| refusal.within("options"))?;
+    if has_base && !bases.is_none() {
+        return contradiction("the part base", "base");
+    }
+    if let BaseChoice::One(id) = &bases {
+        let named = caller.bases().name(id);
+        named.map_err(|error| Refusal::from(error).at("options.base"))?;
+    }
+    bases.try_map(|id| Ok(id.to_string()))
 }
 
 /// The options of a job as a message. What was left out is that of its session.
@@ -115,7 +134,7 @@ pub(super) fn message(request: &JobRequest) -> v1::JobOptions {
     let of_session = |name: fn(&SessionInput) -> &String| session.as_ref().map_or("", |s| name(s));
     let time = |ns: Option<i64>| ns.map(|ns| GpsTime::from_ns(ns).into());
     let source = options.session.as_ref();
-    let (base, bases) = source.map(|source| names(&source.bases)).unwrap_or_default();
+    let (base, bases) = names(source.map_or(&options.bases, |source| &source.bases));
     v1::JobOptions {
         mode: or_standard(options.mode.clone(), of_session(|session| &session.mode)),
         profile: or_standard(options.profile.clone(), of_session(|session| &session.profile)),

@@ -7,10 +7,8 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use tokio::time::timeout;
 
-use crate::contract::{Caller, Lease, Refusal, in_background, texts, v1};
-use crate::formats::rinex::write_navigation;
+use crate::contract::{Caller, Lease, Refusal, texts, v1};
 use crate::formats::track::TrackFormat;
-use crate::gnss::{Ephemeris, Navigation};
 use crate::jobs::{
     ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, Part, RESULT_CHUNK_BYTES,
     Report, ResultContent, Submission, Upload, UploadedFile,
@@ -24,10 +22,6 @@ use super::{job_options, oldest_first, page_size, timestamp, typed, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
-/// Name of the input that the service adds.
-const OWN_NAVIGATION: &str = "the service's own ephemerides";
-/// Most bytes of an ephemeris in RINEX 3.
-const EPHEMERIS_BYTES: usize = 8 * 81;
 /// Memory of the options and names of an upload (bytes).
 const OPTIONS_BYTES: usize = 64 << 10;
 /// Name of the call that deletes a job.
@@ -83,7 +77,7 @@ impl Arriving {
     pub async fn finish(&mut self, arrived: ArrivingPart) -> Result<(), Refusal> {
         let ArrivingPart { part, name, file } = arrived;
         let file = file.finish().await?;
-        self.files.push(UploadedFile { part, name, is_own: false, file });
+        self.files.push(UploadedFile { part, name, file });
         Ok(())
     }
 
@@ -117,19 +111,13 @@ impl Arriving {
         let mut options = self.options.take().unwrap_or_default();
         let urls = input_urls(mem::take(&mut options.urls))?;
         self.add_uploads(caller, mem::take(&mut options.uploads)).await?;
-        let has = |part: Part| {
-            let is_named = urls.iter().any(|url| url.part == part);
-            is_named || self.files.iter().any(|file| file.part == part)
-        };
-        let (has_base, has_navigation) = (has(Part::Base), has(Part::Navigation));
+        let has_base = urls.iter().any(|url| url.part == Part::Base)
+            || self.files.iter().any(|file| file.part == Part::Base);
         let webhook = job_options::webhook(options.webhook.take())?;
         if webhook.is_some() {
             caller.check_secret("options.webhook.secret")?;
         }
         let options = job_options::read(caller, options, has_base)?;
-        if options.session.is_none() && !has_navigation {
-            self.add_own_navigation(caller).await?;
-        }
         let key = idempotency_key.map(ToOwned::to_owned);
         let files = self.files;
         let submission = Submission { options, files, urls, webhook, idempotency_key: key };
@@ -176,36 +164,8 @@ impl Arriving {
             self.upload.count()?;
             let uploaded = caller.jobs().uploaded(&id).await;
             let (name, file) = uploaded.map_err(|error| at_upload(error.into()))?;
-            self.files.push(UploadedFile { part, name, is_own: false, file });
+            self.files.push(UploadedFile { part, name, file });
         }
-        Ok(())
-    }
-
-    /// Adds the service's own ephemerides as the part `navigation`.
-    ///
-    /// # Errors
-    /// The service has none, or the disk fails.
-    async fn add_own_navigation(&mut self, caller: &Caller) -> Result<(), Refusal> {
-        let mut navigation = Navigation::clone(&caller.navigation().current().navigation);
-        navigation.retain(Ephemeris::is_legacy);
-        if navigation.is_empty() {
-            let message = "the part navigation is missing, and the service has no ephemerides";
-            return Err(Refusal::new(Code::InvalidField, message).at("navigation"));
-        }
-        let bytes = navigation.len() * EPHEMERIS_BYTES;
-        Lease::current().map_or(Ok(()), |lease| lease.reserve(bytes))?;
-        let content = in_background(move || {
-            let mut content = Vec::with_capacity(bytes);
-            write_navigation(&mut content, &navigation).map(|()| content)
-        });
-        let content = content.await?.map_err(|error| {
-            let message = format!("writing the service's ephemerides: {error}");
-            Refusal::new(Code::Internal, message)
-        })?;
-        let mut arriving = self.begin(Part::Navigation.name(), OWN_NAVIGATION).await?;
-        arriving.write(&content).await?;
-        self.finish(arriving).await?;
-        self.files.last_mut().expect("it was added").is_own = true;
         Ok(())
     }
 }

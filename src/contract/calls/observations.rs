@@ -5,7 +5,6 @@ use futures::{Stream, stream};
 
 use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
-use crate::gnss::Ephemeris;
 use crate::keys::Pass;
 use crate::refusal::Code;
 use crate::session::ObservedEpochs;
@@ -52,19 +51,11 @@ async fn header(mut epochs: ObservedEpochs) -> Result<ObservationHeader, Refusal
             let estimate = stored.solution.solution.estimate.as_ref();
             let position = estimate.map(|estimate| estimate.position);
             header.approximate_position = header.approximate_position.or(position);
-            for observation in &stored.epoch.observations {
-                let codes = &mut header.codes[observation.satellite.constellation.index()];
-                if !codes.contains(&observation.code) {
-                    codes.push(observation.code);
-                }
-            }
+            header.add_codes(&stored.epoch);
         }
     }
     header.codes.iter_mut().for_each(|codes| codes.sort_unstable());
-    for (satellite, ephemerides) in epochs.navigation.satellites() {
-        let channel = ephemerides.last().and_then(Ephemeris::glonass_channel);
-        header.glonass_channels.extend(channel.map(|channel| (satellite.number, channel)));
-    }
+    header.add_channels(&epochs.navigation);
     Ok(header)
 }
 

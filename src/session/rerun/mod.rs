@@ -7,6 +7,7 @@
 mod plan;
 mod whole;
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::vec::IntoIter;
 
@@ -16,7 +17,7 @@ use crate::gnss::{GpsTime, LeapSeconds, Navigation, Solution};
 use crate::positioning::{PreparedOptions, Scratch};
 use crate::recording::{AnswerKind, BaseRecording, RecordingError};
 use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, seal};
-use crate::store::{SessionRow, Store, StoredEpoch, StoredSolution};
+use crate::store::{BaseKey, SessionRow, Store, StoredEpoch, StoredSolution};
 use crate::tenant::Tenant;
 
 use super::configuration::configuration_hash;
@@ -54,6 +55,8 @@ pub struct Rerun<'a> {
     positioned: Option<u64>,
     /// Number of the last epoch that was removed before it was read.
     removed_through: Option<u64>,
+    /// The stored bases that epochs were positioned with.
+    bases: BTreeSet<BaseKey>,
 }
 
 /// What answers the epochs.
@@ -128,6 +131,7 @@ impl<'a> Rerun<'a> {
             passed: None,
             positioned: None,
             removed_through: after.filter(|_| before < after),
+            bases: BTreeSet::new(),
         })
     }
 
@@ -139,6 +143,20 @@ impl<'a> Rerun<'a> {
     /// The file of the base.
     pub const fn base(&self) -> Option<&BaseRecording<'a>> {
         self.base.as_ref()
+    }
+
+    /// The base of the last epoch that had one.
+    fn present_base(&self) -> Option<BaseKey> {
+        match &self.estimating {
+            Estimating::Session { state, .. } => state.base(),
+            Estimating::Whole(whole) => whole.base(),
+        }
+    }
+
+    /// The ids of the stored bases that epochs were positioned with.
+    pub fn bases(&self) -> Vec<Arc<str>> {
+        let broker = &self.replay.aiding.bases;
+        self.bases.iter().filter_map(|key| broker.id_of(*key)).collect()
     }
 
     /// The leap seconds known today.
@@ -222,6 +240,7 @@ impl<'a> Rerun<'a> {
                 due.extend(those_of(answers, *revision, *above));
             }
         }
+        self.bases.extend(self.present_base());
         Ok(true)
     }
 

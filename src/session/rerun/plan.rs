@@ -80,7 +80,8 @@ impl RerunRequest {
         }
     }
 
-    /// The bases whose stored epochs are used: those of the request, else the session's.
+    /// The bases whose stored epochs are used: those of the request, else the session's, else the
+    /// nearest one.
     pub(super) fn bases(
         &self,
         aiding: &AidingDesk,
@@ -92,7 +93,13 @@ impl RerunRequest {
         }
         let visible = aiding.bases.of(&row.tenant);
         let asked = self.change.base.clone().try_map(|id: BaseId| visible.name(&id))?;
-        base_of(mode, if asked.is_none() { &row.settings.base } else { &asked })
+        let nearest = match visible.has_usable() {
+            true => BaseChoice::Nearest,
+            false => BaseChoice::None,
+        };
+        let choices = [asked, row.settings.base.clone(), nearest];
+        let chosen = choices.into_iter().find(|choice| !choice.is_none());
+        base_of(mode, &chosen.unwrap_or_default())
     }
 }
 

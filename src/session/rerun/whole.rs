@@ -10,6 +10,7 @@ use crate::session::antenna::corrected;
 use crate::session::base_selection::BaseSelection;
 use crate::session::replay::{Step, StepBase};
 use crate::session::state::Configuration;
+use crate::store::BaseKey;
 
 /// The epochs of a session, with one configuration. Each arc is estimated by itself.
 pub(super) struct WholeSession {
@@ -59,6 +60,11 @@ impl WholeSession {
         self.selection.received(input.as_ref());
         self.last = Some(seq);
         ended
+    }
+
+    /// The base of the last epoch that had one.
+    pub(super) const fn base(&self) -> Option<BaseKey> {
+        self.selection.base
     }
 
     /// The answers of the arc so far; another one begins.

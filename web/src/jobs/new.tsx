@@ -214,9 +214,9 @@ function OwnNavigation() {
     return () => stop.abort();
   }, []);
   if (ephemerides === 0) {
-    return <p class="note warn" role="status">No navigation file is among these, and the service has no ephemerides of its own: add one of the same day.</p>;
+    return <p class="note warn" role="status">No navigation file is among these, and the service has no ephemerides now: add one of the same day, unless an archive of the service has it.</p>;
   }
-  return <p class="note">No navigation file is among these: the service takes its own ephemerides, which must be of the same day.</p>;
+  return <p class="note">No navigation file is among these: the service takes ephemerides of its own, or of its archives, for that day.</p>;
 }
 
 function UploadProgress({ progress: { fraction, begun }, total, onCancel }: { progress: Progress; total: number; onCancel: () => void }) {

@@ -1,0 +1,465 @@
+//! What the service adds to a job of its own: ephemerides and a base that its files lack.
+//!
+//! The task that fetches inputs does it before the job can run. First the rover's file is read for
+//! its times, in turns of the solver pool. What is added becomes an input like an uploaded file, so
+//! that each run of the job computes with the same.
+//!
+//! - **Ephemerides** of the receivers' own data come first: then nothing is added, and the
+//!   recording is positioned as by `graphfix solve`. Else those that the service has now, if they
+//!   are in force all the time; else the files of that time from the operator's archives; else
+//!   those that the service has, if they are in force some of the time.
+//! - **A base** is that of the request, else the nearest one, with its stored epochs of that time,
+//!   or those of its archive's files.
+
+use std::fs::File;
+use std::sync::Arc;
+use std::time::Instant;
+
+use tokio::runtime::Handle;
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+use crate::aiding::AidingDesk;
+use crate::aiding::bases::{BaseFile, BaseId, PastBase};
+use crate::feeds::{ArchiveTemplate, ArchivedFile, NavigationArchives, archived_files};
+use crate::formats::receiver::TimeReference;
+use crate::formats::rinex::{
+    ObservationHeader, ObservationWriter, RinexVersion, read_navigation, write_navigation,
+};
+use crate::formats::unpack_within;
+use crate::gnss::constants::SECONDS_PER_HOUR;
+use crate::gnss::{BaseSite, Ecef, Ephemeris, GpsTime, Navigation};
+use crate::recording::{InForce, Input, RecordingError, Survey};
+use crate::refusal::Code;
+use crate::session::BATCH_QUANTUM;
+use crate::store::StoredBaseEpoch;
+use crate::tenant::Tenant;
+
+use super::JobError;
+use super::arriving::Upload;
+use super::files::StoredFile;
+use super::report::Failure;
+use super::request::{JobInput, JobRequest, Part, Plan};
+use super::run::failed;
+use super::state::{Desk, LOOK, Running, unless_stopped};
+use super::watched::Watched;
+
+/// Name of the input with the ephemerides that the service has.
+const OWN_NAVIGATION: &str = "the service's own ephemerides";
+/// Files of this much time before a recording may have ephemerides for its begin (s).
+const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
+/// Largest file of an archive, unpacked (bytes).
+const UNPACKED_LIMIT: u64 = 128 << 20;
+/// Bases whose archives are asked for one job.
+const ARCHIVES_MAX: usize = 5;
+/// Epochs of a base that are written at a time.
+const EPOCHS_PER_PIECE: usize = 256;
+
+/// What adds inputs to a job.
+pub(super) struct Adding<'a> {
+    pub(super) desk: &'a Desk,
+    pub(super) tenant: Tenant,
+    pub(super) running: Arc<Running>,
+    pub(super) upload: &'a mut Upload,
+}
+
+/// What the files of a recording say.
+struct Surveyed {
+    /// Times of its first and last epoch; `None` if nothing dates them.
+    span: Option<(GpsTime, GpsTime)>,
+    /// The ephemerides in the files, else those that the receivers have decoded.
+    navigation: Navigation,
+}
+
+/// The files of a recording that are read on a blocking thread.
+#[derive(Clone)]
+struct Files {
+    rover: Arc<File>,
+    base: Option<Arc<File>>,
+    navigation: Vec<Arc<File>>,
+    unpacked_bytes: u64,
+    reference: Option<TimeReference>,
+}
+
+/// The epochs of a base with its position and antenna.
+struct BaseEpochs {
+    name: String,
+    site: BaseSite,
+    epochs: Vec<StoredBaseEpoch>,
+}
+
+impl Adding<'_> {
+    /// Adds to a job what its files lack, if the service has it. Returns the files that were added;
+    /// `None` if the job is stopped.
+    ///
+    /// # Errors
+    /// The rover's file cannot be read, the service has no base or no ephemerides of its time, or
+    /// the disk fails.
+    pub(super) async fn add(
+        mut self,
+        request: &mut JobRequest,
+    ) -> Result<Option<Vec<StoredFile>>, Failure> {
+        let plan = self.desk.plan(request).map_err(|error| failed(&error))?;
+        if !request.lacks_aiding(&plan.options) {
+            return Ok(Some(Vec::new()));
+        }
+        let files = self.opened(request, &plan).await?;
+        let Some(Surveyed { span, navigation }) = self.surveyed(files.clone()).await? else {
+            return Ok(None);
+        };
+        let aiding = self.desk.aiding().await;
+        let aiding = aiding.map_err(|error| Failure::of_session(&error.into()))?;
+        let mut added = Vec::new();
+        let navigation = match request.lacks_navigation() && navigation.is_empty() {
+            false => navigation,
+            true => {
+                let now = aiding.navigation.of(&self.tenant).current().navigation;
+                let chosen =
+                    unless_stopped(&self.running, chosen(&now, self.desk.archives.as_ref(), span))
+                        .await;
+                let Some(chosen) = chosen else { return Ok(None) };
+                let mut all = Navigation::default();
+                for (name, content, navigation) in chosen? {
+                    added.push(self.store(request, Part::Navigation, &name, [content]).await?);
+                    all.merge(navigation);
+                }
+                all
+            }
+        };
+        if request.lacks_base(&plan.options) {
+            let span = span.ok_or_else(|| no_base(request, "nothing dates the rover's epochs"))?;
+            let position = self.position(files, navigation.clone()).await?;
+            let found = self.base(request, &plan, &aiding, (span, position));
+            let Some(found) = unless_stopped(&self.running.clone(), found).await else {
+                return Ok(None);
+            };
+            let BaseEpochs { name, site, epochs } = found?;
+            let pieces = written(&name, &site, epochs, &navigation).await?;
+            added.push(self.store(request, Part::Base, &name, pieces).await?);
+        }
+        Ok(Some(added))
+    }
+
+    async fn opened(&self, request: &JobRequest, plan: &Plan) -> Result<Files, Failure> {
+        let files = self.desk.files().map_err(|error| failed(&error))?;
+        let open = async |part: Part| {
+            let mut opened = Vec::new();
+            for input in request.inputs.iter().filter(|input| input.part == part) {
+                let file = files.open_input(&input.hash, input.bytes).await;
+                opened.push(Arc::new(file.map_err(|error| failed(&error))?));
+            }
+            Ok::<_, Failure>(opened)
+        };
+        let rover = open(Part::Rover).await?.pop();
+        Ok(Files {
+            rover: rover.expect("the plan has checked the parts"),
+            base: open(Part::Base).await?.pop(),
+            navigation: open(Part::Navigation).await?,
+            unpacked_bytes: self.desk.limits.unpacked_bytes,
+            reference: plan.reference,
+        })
+    }
+
+    /// Reads the files, in turns; `None` if the job is stopped.
+    async fn surveyed(&self, files: Files) -> Result<Option<Surveyed>, Failure> {
+        let (lane, tenant, running) =
+            (self.desk.lane.clone(), self.tenant.clone(), self.running.clone());
+        let runtime = Handle::current();
+        in_background(move || {
+            let watched = Watched::default();
+            let (rover, base, navigation) = files.inputs(&watched);
+            let mut survey = None;
+            loop {
+                if running.is_stopped() {
+                    return Ok(None);
+                }
+                let turn = runtime.block_on(async { timeout(LOOK, lane.turn(&tenant)).await });
+                let Ok(_turn) = turn else { continue };
+                let begun = Instant::now();
+                let survey = match &mut survey {
+                    Some(survey) => survey,
+                    none => match Survey::open(&rover, base.as_ref(), &navigation, files.reference)
+                    {
+                        Ok(opened) => none.insert(opened),
+                        // The ephemerides that are added may date it.
+                        Err(RecordingError::NoReferenceTime { .. }) => {
+                            return Ok(Some(Surveyed {
+                                span: None,
+                                navigation: Navigation::default(),
+                            }));
+                        }
+                        Err(error) => return Err(watched.failure(&error)),
+                    },
+                };
+                while begun.elapsed() < BATCH_QUANTUM {
+                    if !survey.step().map_err(|error| watched.failure(&error))? {
+                        let (span, navigation) = (survey.span(), survey.navigation().clone());
+                        return Ok(Some(Surveyed { span, navigation }));
+                    }
+                }
+            }
+        })
+        .await
+    }
+
+    /// Where the rover is, if its file and these ephemerides tell it.
+    async fn position(
+        &self,
+        files: Files,
+        navigation: Navigation,
+    ) -> Result<Option<Ecef>, Failure> {
+        in_background(move || {
+            let watched = Watched::default();
+            let (rover, _, named) = files.inputs(&watched);
+            let found = Survey::open(&rover, None, &named, files.reference)
+                .and_then(|survey| survey.position(&navigation));
+            found.map_err(|error| watched.failure(&error))
+        })
+        .await
+    }
+
+    /// The epochs of the base that is asked for, or of the nearest one that has any.
+    async fn base(
+        &self,
+        request: &JobRequest,
+        plan: &Plan,
+        aiding: &AidingDesk,
+        (span, position): ((GpsTime, GpsTime), Option<Ecef>),
+    ) -> Result<BaseEpochs, Failure> {
+        let choice = request.options.bases.clone().try_map(|id| {
+            BaseId::parse(&id).ok_or_else(|| no_base(request, &format!("there is no base {id:?}")))
+        })?;
+        let (longest_m, age_s) = (plan.options.rtk.baseline_max_m, plan.options.rtk.base_age_max_s);
+        let visible = aiding.bases.of(&self.tenant);
+        let offers = visible.for_recording(&choice, position, longest_m);
+        let offers = offers.map_err(|error| no_base(request, &error.to_string()))?;
+        let (mut partial, mut asked, mut problem) = (None, 0, None);
+        for offer in &offers {
+            let (site, epochs) = offer.stored(span, age_s);
+            let is_whole = covers(&epochs, span, age_s);
+            if let Some(site) = site.filter(|_| !epochs.is_empty()) {
+                let name = named(offer, "its stored epochs");
+                let found = BaseEpochs { name, site, epochs };
+                if is_whole {
+                    return Ok(found);
+                }
+                partial.get_or_insert(found);
+            }
+            if let Some(template) = offer.archive().filter(|_| asked < ARCHIVES_MAX) {
+                asked += 1;
+                match self.archived(offer, template, (span, age_s), aiding).await {
+                    Ok(Some(found)) => return Ok(found),
+                    Ok(None) => {}
+                    Err(text) => drop(problem.get_or_insert(text)),
+                }
+            }
+        }
+        partial.ok_or_else(|| {
+            let (from, until) = span;
+            let mut message = match offers.len() {
+                0 => format!("no base of the service is within {:.0} km", longest_m / 1e3),
+                _ => format!("no base of the service has epochs from {from} until {until}"),
+            };
+            if let Some(problem) = problem {
+                message = format!("{message}; {problem}");
+            }
+            no_base(request, &message)
+        })
+    }
+
+    /// The epochs of a base of its archive's files; `None` if these have none of the time.
+    async fn archived(
+        &self,
+        offer: &PastBase,
+        template: &str,
+        (span, age_s): ((GpsTime, GpsTime), f64),
+        aiding: &AidingDesk,
+    ) -> Result<Option<BaseEpochs>, String> {
+        let template = ArchiveTemplate::new(template).map_err(|error| error.to_string())?;
+        let connector = self.desk.connector.of(offer.tenant());
+        let (begin, end) = PastBase::needed(span, age_s);
+        let files = archived_files(&connector, &template, (begin, end)).await;
+        let files = files.map_err(|error| format!("{template}: {error}"))?;
+        let limits = aiding.bases.file_limits();
+        let (known, _) = offer.stored(span, age_s);
+        let (mut epochs, mut site, urls) = (Vec::new(), known, files.len());
+        for ArchivedFile { url, content } in files {
+            let read = move || {
+                let read = BaseFile::read(unpack_within(&content, UNPACKED_LIMIT), &limits);
+                read.map_err(|error| error.to_string())
+            };
+            let read = spawn_blocking(read).await.unwrap_or_else(|panic| Err(panic.to_string()));
+            let BaseFile { epochs: all, site: stated, .. } =
+                read.map_err(|error| format!("{url}: {error}"))?;
+            site = site.or(stated);
+            let is_wanted = |epoch: &StoredBaseEpoch| begin <= epoch.time && epoch.time <= end;
+            epochs.extend(all.into_iter().filter(is_wanted));
+        }
+        epochs.sort_by_key(|epoch| epoch.time);
+        epochs.dedup_by_key(|epoch| epoch.time);
+        let name = named(offer, &format!("{urls} files of its archive"));
+        Ok(site.filter(|_| !epochs.is_empty()).map(|site| BaseEpochs { name, site, epochs }))
+    }
+
+    /// Stores a file and adds it to the inputs.
+    async fn store(
+        &mut self,
+        request: &mut JobRequest,
+        part: Part,
+        name: &str,
+        pieces: impl IntoIterator<Item = Vec<u8>>,
+    ) -> Result<StoredFile, Failure> {
+        let at_part =
+            |error: JobError| Failure::new(error.code(), error.to_string(), Some(part.name()));
+        let mut file = self.upload.begin_again().await.map_err(at_part)?;
+        for piece in pieces {
+            file.write(&piece).await.map_err(at_part)?;
+        }
+        let stored = file.finish().await.map_err(at_part)?;
+        let (hash, bytes) = (stored.hash.clone(), stored.bytes);
+        let name = name.to_owned();
+        request.add(JobInput { part, name, hash, bytes, is_own: true, url: None });
+        Ok(stored)
+    }
+}
+
+impl Files {
+    /// The rover's, the base's and those of navigation data.
+    fn inputs(&self, watched: &Watched) -> (Input, Option<Input>, Vec<Input>) {
+        let input = |part: Part, file: &Arc<File>| {
+            watched.input(file.clone(), self.unpacked_bytes, part, part.name())
+        };
+        let base = self.base.as_ref().map(|base| input(Part::Base, base));
+        let navigation = self.navigation.iter().map(|file| input(Part::Navigation, file));
+        (input(Part::Rover, &self.rover), base, navigation.collect())
+    }
+}
+
+/// The files of ephemerides to add for a span of time, each with its name: those that the service
+/// has `now`, or those of the archives.
+async fn chosen(
+    now: &Navigation,
+    archives: Option<&NavigationArchives>,
+    span: Option<(GpsTime, GpsTime)>,
+) -> Result<Vec<(String, Vec<u8>, Navigation)>, Failure> {
+    let mut own = now.clone();
+    own.retain(Ephemeris::is_legacy);
+    let in_force = span.map_or(InForce::Always, |span| InForce::of(&own, span));
+    let mut problem = None;
+    if in_force != InForce::Always
+        && let (Some((from, until)), Some(archives)) = (span, archives)
+    {
+        match archives.files((from - BEFORE_S, until)).await {
+            Err(error) => problem = Some(error.to_string()),
+            Ok(files) => {
+                let mut read = Vec::new();
+                for ArchivedFile { url, content } in files {
+                    match in_background(move || Ok(read_file(content))).await? {
+                        Ok((content, navigation)) => {
+                            read.push((url.to_string(), content, navigation));
+                        }
+                        Err(why) => problem = Some(format!("{url}: {why}")),
+                    }
+                }
+                if !read.is_empty() {
+                    return Ok(read);
+                }
+            }
+        }
+    }
+    if own.is_empty() || in_force == InForce::Never {
+        let of = span.map_or_else(String::new, |(from, _)| format!(" of {from}"));
+        let mut message = format!("there are no ephemerides{of}: neither in the files, nor here");
+        if let Some(problem) = problem {
+            message = format!("{message} ({problem})");
+        }
+        return Err(Failure::new(Code::NavigationRequired, message, Some("navigation")));
+    }
+    in_background(move || {
+        let mut content = Vec::new();
+        match write_navigation(&mut content, &own) {
+            Ok(()) => Ok(vec![(OWN_NAVIGATION.to_owned(), content, own)]),
+            Err(error) => {
+                let message = format!("writing the service's ephemerides: {error}");
+                Err(Failure::new(Code::Internal, message, None))
+            }
+        }
+    })
+    .await
+}
+
+/// The bytes of a file and the ephemerides in it.
+fn read_file(content: Vec<u8>) -> Result<(Vec<u8>, Navigation), String> {
+    let read = read_navigation(unpack_within(&*content, UNPACKED_LIMIT));
+    let navigation = read.map_err(|error| error.to_string())?.0;
+    match navigation.is_empty() {
+        true => Err("the file has no ephemerides".to_owned()),
+        false => Ok((content, navigation)),
+    }
+}
+
+/// Whether a base has epochs from the begin to the end of a span.
+fn covers(epochs: &[StoredBaseEpoch], (from, until): (GpsTime, GpsTime), age_s: f64) -> bool {
+    let near = |epoch: Option<&StoredBaseEpoch>, time: GpsTime| {
+        epoch.is_some_and(|epoch| (epoch.time - time).abs() <= age_s)
+    };
+    near(epochs.first(), from) && near(epochs.last(), until)
+}
+
+/// The name of the input of a base.
+fn named(offer: &PastBase, what: &str) -> String {
+    let distance = offer.distance_m.map(|m| format!(", {:.1} km from the rover", m / 1e3));
+    format!("base {}{}: {what}", offer.id(), distance.unwrap_or_default())
+}
+
+fn no_base(request: &JobRequest, why: &str) -> Failure {
+    let message = format!("mode {} needs a base: {why}", request.options.mode);
+    Failure::new(Code::BaseRequired, message, Some("base"))
+}
+
+/// The epochs of a base as RINEX 3.05, in pieces.
+async fn written(
+    name: &str,
+    site: &BaseSite,
+    epochs: Vec<StoredBaseEpoch>,
+    navigation: &Navigation,
+) -> Result<Vec<Vec<u8>>, Failure> {
+    let mut header = ObservationHeader::new(RinexVersion { major: 3, minor: 5 });
+    header.marker = name.split([' ', ',', ':']).nth(1).unwrap_or_default().to_owned();
+    header.approximate_position = Some(site.marker);
+    header.antenna.clone_from(&site.antenna);
+    header.antenna_delta_hen_m = site.antenna_delta_hen_m;
+    header.first_observation = epochs.first().map(|epoch| epoch.time);
+    header.add_channels(navigation);
+    in_background(move || {
+        let failed = |error: &dyn std::fmt::Display| {
+            Failure::new(Code::Internal, format!("writing the base's epochs: {error}"), None)
+        };
+        let decoded = || epochs.iter().map(PastBase::decoded);
+        decoded().for_each(|epoch| header.add_codes(&epoch));
+        header.codes.iter_mut().for_each(|codes| codes.sort_unstable());
+        let writer = ObservationWriter::new(Vec::new(), &header);
+        let mut writer = writer.map_err(|error| failed(&error))?;
+        let mut pieces = Vec::new();
+        for (index, epoch) in decoded().enumerate() {
+            writer.write_what_fits(epoch).map_err(|error| failed(&error))?;
+            if (index + 1).is_multiple_of(EPOCHS_PER_PIECE) {
+                pieces.push(writer.take());
+            }
+        }
+        pieces.push(writer.take());
+        Ok(pieces)
+    })
+    .await
+}
+
+/// Runs what reads files on a blocking thread.
+async fn in_background<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
+) -> Result<T, Failure> {
+    let done = spawn_blocking(work).await;
+    done.unwrap_or_else(|panic| {
+        let message = format!("reading the rover's file failed: {panic}");
+        Err(Failure::new(Code::Internal, message, None))
+    })
+}

@@ -1,0 +1,168 @@
+//! What a job lacks and the service has: ephemerides, of now or of an archive, and a base.
+
+use axum::http::StatusCode;
+use graphfix::aiding::bases::{BaseId, NewBase};
+use graphfix::config::JobsConfiguration;
+use graphfix::gnss::{BaseSite, Ecef, Epoch};
+use serde_json::{Value, json};
+
+use crate::support::casters::gzip;
+use crate::support::data;
+use crate::support::doors::{Doors, code};
+use crate::support::drive::DRIVE;
+use crate::support::jobs::{MINUTE, body};
+use crate::support::pair::{PAIR, Pair};
+
+use super::job_urls::host;
+use super::jobs::{bytes_of, created, ended, post};
+
+async fn doors() -> Doors {
+    Doors::with_jobs(JobsConfiguration::standard()).await
+}
+
+/// A job of these parts that has ended.
+async fn done(doors: &Doors, parts: &[(&str, &[u8])]) -> Value {
+    let job = created(doors, body(parts)).await;
+    ended(doors, &job).await
+}
+
+async fn result(doors: &Doors, done: &Value) -> Vec<u8> {
+    assert_eq!(done["state"], "SUCCEEDED", "{done}");
+    bytes_of(doors, &format!("/v1/jobs/{}/result", done["job"].as_str().unwrap())).await.1
+}
+
+/// What the report says that the positions rest on.
+async fn provenance(doors: &Doors, done: &Value) -> String {
+    let path = format!("/v1/jobs/{}/report", done["job"].as_str().unwrap());
+    doors.get(&path).await.1["provenance"].to_string()
+}
+
+/// A base of the service whose marker is at `place`, with these epochs.
+async fn stored(doors: &Doors, place: Ecef, epochs: Vec<Epoch>) -> String {
+    let site = BaseSite {
+        marker: place,
+        antenna_delta_hen_m: [1.5, 0.0, 0.0],
+        antenna: "IDEAL".to_owned(),
+        ..PAIR.new_base(0.0).site.unwrap()
+    };
+    let new = NewBase { site: Some(site), ..PAIR.new_base(0.0) };
+    let bases = doors.service.bases();
+    let id = BaseId::parse(&bases.create(new).await.unwrap().name.id).unwrap();
+    if !epochs.is_empty() {
+        bases.push(&id, epochs).await.unwrap();
+    }
+    id.to_string()
+}
+
+fn failure(done: &Value) -> (&str, &str, &str) {
+    let of = |name: &str| done["failure"][name].as_str().unwrap();
+    assert_eq!(done["state"], "FAILED", "{done}");
+    (of("code"), of("field"), of("message"))
+}
+
+fn navigation_of(pair: &Pair) -> Vec<u8> {
+    let mut file = Vec::new();
+    graphfix::formats::rinex::write_navigation(&mut file, &pair.navigation).unwrap();
+    file
+}
+
+/// The service's own ephemerides stand in for the part that is missing.
+#[tokio::test]
+async fn without_navigation_data_the_service_gives_its_own() {
+    let doors = doors().await;
+    let alone = [("rover", &MINUTE.rover[..])];
+    let lacking = done(&doors, &alone).await;
+    assert!(matches!(failure(&lacking), ("NAVIGATION_REQUIRED", "navigation", _)), "{lacking}");
+    let (status, _) = doors.upload("/v1/navigation", MINUTE.navigation.clone()).await;
+    assert_eq!(status, StatusCode::OK);
+    let named = [("idempotency-key", "alone")];
+    let (status, first) = post(&doors, body(&alone), &named).await;
+    assert_eq!(status, StatusCode::CREATED, "{first}");
+    let done = ended(&doors, first["job"].as_str().unwrap()).await;
+    let own = result(&doors, &done).await;
+    assert_eq!(
+        (&done["inputs"][0]["own"], &done["inputs"][1]["own"]),
+        (&json!(false), &json!(true))
+    );
+    let said = provenance(&doors, &done).await;
+    assert!(said.contains("navigation: the service's own ephemerides"), "{said}");
+    assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"), "the same ephemerides");
+    // Other ephemerides since then make no other request of it.
+    doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
+    let (status, again) = post(&doors, body(&alone), &named).await;
+    assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
+}
+
+/// The service has no ephemerides of the recording's day, 1 January 2026: they come from the
+/// operator's archive, and the positions are those of `solve` with that file.
+#[tokio::test]
+async fn ephemerides_of_an_old_recording_come_from_an_archive() {
+    let archive = host(vec![("/2026/001/nav.rnx.gz", gzip(&MINUTE.navigation))]).await;
+    let template = format!("http://127.0.0.1:{}/{{yyyy}}/{{ddd}}/nav.rnx.gz", archive.port);
+    let doors = Doors::with_archives(vec![template]).await;
+    let done = done(&doors, &[("rover", &MINUTE.rover)]).await;
+    let own = result(&doors, &done).await;
+    assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"));
+    let said = provenance(&doors, &done).await;
+    assert!(said.contains("/2026/001/nav.rnx.gz"), "{said}");
+}
+
+/// The ephemerides that a receiver has decoded come before all others, as in `solve`.
+#[tokio::test]
+async fn the_ephemerides_of_a_receiver_are_its_own() {
+    let Some(folder) = data::set("galway-static") else { return };
+    let read = |name: &str| std::fs::read(folder.join(name)).unwrap();
+    let rover = read("rover-20181004-1237.ubx.gz");
+    let doors = doors().await;
+    doors.upload("/v1/navigation", MINUTE.navigation.clone()).await;
+    let done = done(&doors, &[("rover", &rover), ("options", b"{\"mode\": \"spp\"}")]).await;
+    result(&doors, &done).await;
+    assert_eq!(done["inputs"].as_array().unwrap().len(), 1, "{done}");
+    let path = format!("/v1/jobs/{}/report", done["job"].as_str().unwrap());
+    let (_, report) = doors.get(&path).await;
+    assert_eq!(report["epochs"], report["answered"], "{report}");
+}
+
+/// Without the part base the nearest base of the service is taken, with its stored epochs, and the
+/// positions are those with its epochs as a file.
+#[tokio::test]
+async fn without_a_base_the_nearest_of_the_service_is_taken() {
+    let doors = doors().await;
+    let (rover, navigation) = (PAIR.rover_file(), navigation_of(&PAIR));
+    let relative = json!({"mode": "rtk-fgo", "format": "csv"}).to_string();
+    let parts = |options: &'static str| -> Vec<(&str, &[u8])> {
+        vec![("rover", &rover), ("navigation", &navigation), ("options", options.as_bytes())]
+    };
+    let relative: &'static str = relative.leak();
+    let lacking = done(&doors, &parts(relative)).await;
+    let (code_of, field, message) = failure(&lacking);
+    assert_eq!((code_of, field), ("BASE_REQUIRED", "base"), "{message}");
+
+    // One far away, one without epochs of the time, and the right one.
+    let (elsewhere, place) = PAIR.base_elsewhere(30_000.0);
+    let far = stored(&doors, place, elsewhere).await;
+    stored(&doors, PAIR.position, Vec::new()).await;
+    let near = stored(&doors, PAIR.position, PAIR.base.clone()).await;
+    let nearest = done(&doors, &parts(relative)).await;
+    let own = result(&doors, &nearest).await;
+    let said = provenance(&doors, &nearest).await;
+    assert!(said.contains(&format!("base: base {near}, 8.")), "{said}");
+
+    let file = PAIR.base_file(Some(PAIR.position));
+    let mut given = parts(relative);
+    given.push(("base", &file));
+    let given = done(&doors, &given).await;
+    assert_eq!(own, result(&doors, &given).await);
+
+    // A base that is named makes positions relative to it.
+    let named: &'static str = json!({"base": far}).to_string().leak();
+    let named = done(&doors, &parts(named)).await;
+    assert_eq!(named["options"]["mode"], "rtk-fgo");
+    let said = provenance(&doors, &named).await;
+    assert!(said.contains(&far), "{said}");
+    let unknown = format!("bas_{}", "0".repeat(32));
+    let unknown: &'static str = json!({"base": unknown}).to_string().leak();
+    let (status, refused) = post(&doors, body(&parts(unknown)), &[]).await;
+    let got = (status.as_u16(), code(&refused), refused["field"].as_str());
+    assert_eq!(got, (404, "BASE_NOT_FOUND", Some("options.base")), "{refused}");
+}
