@@ -185,9 +185,16 @@ impl JobRequest {
         self.options.session.is_none() && options.mode.is_relative() && !self.has_base()
     }
 
+    /// Whether a session is positioned again relative to stored epochs of a base, of which an
+    /// archive may have more.
+    pub(super) fn takes_stored_base(&self, options: &PositioningOptions) -> bool {
+        let is_changed = self.session.as_ref().is_some_and(|session| !session.is_as_answered);
+        is_changed && options.mode.is_relative() && !self.has_base()
+    }
+
     /// Whether the service is to add navigation data or a base, if the files need them.
     pub(super) fn lacks_aiding(&self, options: &PositioningOptions) -> bool {
-        self.lacks_navigation() || self.lacks_base(options)
+        self.lacks_navigation() || self.lacks_base(options) || self.takes_stored_base(options)
     }
 
     /// The input of a part.

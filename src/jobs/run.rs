@@ -139,9 +139,7 @@ impl Run {
         let opened = Solutions::open(&inputs, options.clone(), *answer);
         let solutions = opened.map_err(|error| watched.failure(&error))?;
         drop(turn);
-        let own = self.request.inputs.iter().filter(|input| input.is_own);
-        let added = own.map(|input| format!("{}: {}", input.part.name(), input.name)).collect();
-        let source = Files::new(solutions, watched, added);
+        let source = Files::new(solutions, watched);
         self.written(source, (runtime, began, &used), space)
     }
 
@@ -182,7 +180,9 @@ impl Run {
         let seconds = seconds_before + began.elapsed().as_secs_f64();
         let hash = self.plan.options.configuration_hash();
         let mut report = Report::of(&tally, &source.provenance(), hash, seconds);
-        report.provenance.extend(source.remarks());
+        let own = self.request.inputs.iter().filter(|input| input.is_own);
+        let added = own.map(|input| format!("{}: {}", input.part.name(), input.name));
+        report.provenance.extend(added.chain(source.remarks()));
         if 0 < kept {
             let line = format!("the first {kept} answers are those of a run that was cut off");
             report.provenance.push(line);

@@ -63,17 +63,11 @@ pub(super) struct Files<'a> {
     solutions: Solutions<'a>,
     watched: Watched,
     has_more: bool,
-    /// Names of the inputs that the service has added, with their parts.
-    added: Vec<String>,
 }
 
 impl<'a> Files<'a> {
-    pub(super) const fn new(
-        solutions: Solutions<'a>,
-        watched: Watched,
-        added: Vec<String>,
-    ) -> Self {
-        Self { solutions, watched, has_more: true, added }
+    pub(super) const fn new(solutions: Solutions<'a>, watched: Watched) -> Self {
+        Self { solutions, watched, has_more: true }
     }
 }
 
@@ -114,7 +108,7 @@ impl Source for Files<'_> {
     }
 
     fn remarks(&self) -> Vec<String> {
-        self.added.clone()
+        Vec::new()
     }
 }
 

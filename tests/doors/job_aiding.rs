@@ -12,6 +12,7 @@ use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
 use crate::support::jobs::{MINUTE, body};
 use crate::support::pair::{PAIR, Pair};
+use crate::support::sessions::new_session;
 
 use super::job_urls::host;
 use super::jobs::{bytes_of, created, ended, post};
@@ -165,4 +166,35 @@ async fn without_a_base_the_nearest_of_the_service_is_taken() {
     let (status, refused) = post(&doors, body(&parts(unknown)), &[]).await;
     let got = (status.as_u16(), code(&refused), refused["field"].as_str());
     assert_eq!(got, (404, "BASE_NOT_FOUND", Some("options.base")), "{refused}");
+}
+
+/// An archive fills the base, and no rover has needed it: its file is fetched for the job, by a
+/// recording and by a session, with the same positions.
+#[tokio::test]
+async fn files_of_a_base_come_from_its_archive() {
+    let archive = host(vec![("/20260101.obs", PAIR.base_file(Some(PAIR.position)))]).await;
+    let template = format!("http://127.0.0.1:{}/{{yyyy}}{{mm}}{{dd}}.obs", archive.port);
+    let doors = doors().await;
+    doors.upload("/v1/navigation", navigation_of(&PAIR)).await;
+    let (_, base) = doors.post("/v1/bases", json!({"archive": {"template": template}})).await;
+    let base = base["base"].as_str().unwrap();
+    let rover = PAIR.rover_file();
+    let options = json!({"base": base, "format": "csv"}).to_string();
+    let parts = [("rover", &rover[..]), ("options", options.as_bytes())];
+    let of_files = done(&doors, &parts).await;
+    let said = provenance(&doors, &of_files).await;
+    assert!(said.contains(&format!("base: base {base}: a file of its archive")), "{said}");
+
+    let sessions = doors.service.sessions();
+    let id = sessions.create(new_session()).await.unwrap().id;
+    for epochs in PAIR.rover.chunks(50) {
+        sessions.submit(&id, epochs.to_vec()).await.unwrap();
+    }
+    let options = json!({"session": id.to_string(), "base": base, "format": "csv"}).to_string();
+    let of_session = done(&doors, &[("options", options.as_bytes())]).await;
+    let said = provenance(&doors, &of_session).await;
+    assert!(said.contains(&format!("base: base {base}")), "{said}");
+    let fixes = |content: Vec<u8>| String::from_utf8(content).unwrap().matches("FIXED").count();
+    let files = fixes(result(&doors, &of_files).await);
+    assert!(140 < files && files == fixes(result(&doors, &of_session).await), "{files}");
 }

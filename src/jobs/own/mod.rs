@@ -11,6 +11,10 @@
 //! - **A base** is that of the request, else the nearest one, with its stored epochs of that time,
 //!   or those of its archive's files.
 
+mod background;
+mod base_epochs;
+mod ephemerides;
+
 use std::fs::File;
 use std::sync::Arc;
 use std::time::Instant;
@@ -21,18 +25,14 @@ use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFile, BaseId, PastBase};
-use crate::feeds::{ArchiveTemplate, ArchivedFile, NavigationArchives, archived_files};
+use crate::feeds::{ArchiveTemplate, ArchivedFile, archived_files};
 use crate::formats::receiver::TimeReference;
-use crate::formats::rinex::{
-    ObservationHeader, ObservationWriter, RinexVersion, read_navigation, write_navigation,
-};
 use crate::formats::unpack_within;
-use crate::gnss::constants::SECONDS_PER_HOUR;
-use crate::gnss::{BaseSite, Ecef, Ephemeris, GpsTime, Navigation};
-use crate::recording::{InForce, Input, RecordingError, Survey};
+use crate::gnss::{Ecef, GpsTime, Navigation};
+use crate::recording::{Input, RecordingError, Survey};
 use crate::refusal::Code;
-use crate::session::BATCH_QUANTUM;
-use crate::store::StoredBaseEpoch;
+use crate::session::{BATCH_QUANTUM, SessionError};
+use crate::store::{BaseChoice, StoreError, StoredBaseEpoch, StoredEpoch};
 use crate::tenant::Tenant;
 
 use super::JobError;
@@ -44,17 +44,14 @@ use super::run::failed;
 use super::state::{Desk, LOOK, Running, unless_stopped};
 use super::watched::Watched;
 
-/// Name of the input with the ephemerides that the service has.
-const OWN_NAVIGATION: &str = "the service's own ephemerides";
-/// Files of this much time before a recording may have ephemerides for its begin (s).
-const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
+use background::in_background;
+use base_epochs::{BaseEpochs, covers, named, written};
+use ephemerides::chosen;
+
 /// Largest file of an archive, unpacked (bytes).
 const UNPACKED_LIMIT: u64 = 128 << 20;
 /// Bases whose archives are asked for one job.
 const ARCHIVES_MAX: usize = 5;
-/// Epochs of a base that are written at a time.
-const EPOCHS_PER_PIECE: usize = 256;
-
 /// What adds inputs to a job.
 pub(super) struct Adding<'a> {
     pub(super) desk: &'a Desk,
@@ -81,13 +78,6 @@ struct Files {
     reference: Option<TimeReference>,
 }
 
-/// The epochs of a base with its position and antenna.
-struct BaseEpochs {
-    name: String,
-    site: BaseSite,
-    epochs: Vec<StoredBaseEpoch>,
-}
-
 impl Adding<'_> {
     /// Adds to a job what its files lack, if the service has it. Returns the files that were added;
     /// `None` if the job is stopped.
@@ -103,12 +93,15 @@ impl Adding<'_> {
         if !request.lacks_aiding(&plan.options) {
             return Ok(Some(Vec::new()));
         }
+        let aiding = self.desk.aiding().await;
+        let aiding = aiding.map_err(|error| Failure::of_session(&error.into()))?;
+        if request.takes_stored_base(&plan.options) {
+            return self.add_to_session(request, &plan, &aiding).await;
+        }
         let files = self.opened(request, &plan).await?;
         let Some(Surveyed { span, navigation }) = self.surveyed(files.clone()).await? else {
             return Ok(None);
         };
-        let aiding = self.desk.aiding().await;
-        let aiding = aiding.map_err(|error| Failure::of_session(&error.into()))?;
         let mut added = Vec::new();
         let navigation = match request.lacks_navigation() && navigation.is_empty() {
             false => navigation,
@@ -129,15 +122,78 @@ impl Adding<'_> {
         if request.lacks_base(&plan.options) {
             let span = span.ok_or_else(|| no_base(request, "nothing dates the rover's epochs"))?;
             let position = self.position(files, navigation.clone()).await?;
-            let found = self.base(request, &plan, &aiding, (span, position));
+            let choice = request.options.bases.clone();
+            let found = self.base(choice, &plan, &aiding, (span, position));
             let Some(found) = unless_stopped(&self.running.clone(), found).await else {
                 return Ok(None);
             };
-            let BaseEpochs { name, site, epochs } = found?;
-            let pieces = written(&name, &site, epochs, &navigation).await?;
-            added.push(self.store(request, Part::Base, &name, pieces).await?);
+            let found = found.map_err(|why| no_base(request, &why))?;
+            added.push(self.store_base(request, found, &navigation).await?);
         }
         Ok(Some(added))
+    }
+
+    /// Adds the files of a base's archive to a job over a session, if the base has not stored all
+    /// epochs of its time: an archive is asked only for what rovers have needed.
+    async fn add_to_session(
+        &mut self,
+        request: &mut JobRequest,
+        plan: &Plan,
+        aiding: &AidingDesk,
+    ) -> Result<Option<Vec<StoredFile>>, Failure> {
+        let (source, session) = request
+            .options
+            .session
+            .as_ref()
+            .zip(request.session.as_ref())
+            .expect("it takes a session's epochs");
+        let store = &self.desk.store;
+        let of_store = |error: StoreError| Failure::of_session(&error.into());
+        let row = store.session(&self.tenant, &source.id).await.map_err(of_store)?;
+        let id = source.id.clone();
+        let row = row.ok_or_else(|| Failure::of_session(&SessionError::NotFound { id }))?;
+        let (mut span, mut position) = (None, None);
+        for number in [session.numbers.0, session.numbers.1] {
+            let stored = store.epochs_after(row.key, number.checked_sub(1), 1).await;
+            for StoredEpoch { epoch, solution, .. } in stored.map_err(of_store)? {
+                let (from, _) = span.unwrap_or((epoch.time, epoch.time));
+                span = Some((from, epoch.time));
+                let estimate = solution.solution.estimate;
+                position = position.or(estimate.map(|estimate| estimate.position));
+            }
+        }
+        let Some(span) = span else { return Ok(Some(Vec::new())) };
+        let choice = match &source.bases {
+            BaseChoice::None => {
+                let own = row.settings.base.try_map(|name| Ok::<_, Failure>(name.id.to_string()));
+                own?
+            }
+            asked => asked.clone(),
+        };
+        let found = self.base(choice, plan, aiding, (span, position));
+        let Some(found) = unless_stopped(&self.running.clone(), found).await else {
+            return Ok(None);
+        };
+        match found {
+            Ok(found) if found.is_of_archive => {
+                let navigation = aiding.navigation.of(&self.tenant).current().navigation;
+                Ok(Some(vec![self.store_base(request, found, &navigation).await?]))
+            }
+            // The run takes what is stored.
+            Ok(_) | Err(_) => Ok(Some(Vec::new())),
+        }
+    }
+
+    /// Stores the epochs of a base as a file, and adds it to the inputs.
+    async fn store_base(
+        &mut self,
+        request: &mut JobRequest,
+        base: BaseEpochs,
+        navigation: &Navigation,
+    ) -> Result<StoredFile, Failure> {
+        let BaseEpochs { name, site, epochs, .. } = base;
+        let pieces = written(&name, &site, epochs, navigation).await?;
+        self.store(request, Part::Base, &name, pieces).await
     }
 
     async fn opened(&self, request: &JobRequest, plan: &Plan) -> Result<Files, Failure> {
@@ -219,27 +275,29 @@ impl Adding<'_> {
     }
 
     /// The epochs of the base that is asked for, or of the nearest one that has any.
+    ///
+    /// # Errors
+    /// Why there are none.
     async fn base(
         &self,
-        request: &JobRequest,
+        choice: BaseChoice<String>,
         plan: &Plan,
         aiding: &AidingDesk,
         (span, position): ((GpsTime, GpsTime), Option<Ecef>),
-    ) -> Result<BaseEpochs, Failure> {
-        let choice = request.options.bases.clone().try_map(|id| {
-            BaseId::parse(&id).ok_or_else(|| no_base(request, &format!("there is no base {id:?}")))
-        })?;
+    ) -> Result<BaseEpochs, String> {
+        let choice = choice
+            .try_map(|id| BaseId::parse(&id).ok_or_else(|| format!("there is no base {id:?}")))?;
         let (longest_m, age_s) = (plan.options.rtk.baseline_max_m, plan.options.rtk.base_age_max_s);
         let visible = aiding.bases.of(&self.tenant);
         let offers = visible.for_recording(&choice, position, longest_m);
-        let offers = offers.map_err(|error| no_base(request, &error.to_string()))?;
+        let offers = offers.map_err(|error| error.to_string())?;
         let (mut partial, mut asked, mut problem) = (None, 0, None);
         for offer in &offers {
             let (site, epochs) = offer.stored(span, age_s);
             let is_whole = covers(&epochs, span, age_s);
             if let Some(site) = site.filter(|_| !epochs.is_empty()) {
                 let name = named(offer, "its stored epochs");
-                let found = BaseEpochs { name, site, epochs };
+                let found = BaseEpochs { name, site, epochs, is_of_archive: false };
                 if is_whole {
                     return Ok(found);
                 }
@@ -263,7 +321,7 @@ impl Adding<'_> {
             if let Some(problem) = problem {
                 message = format!("{message}; {problem}");
             }
-            no_base(request, &message)
+            message
         })
     }
 
@@ -297,8 +355,17 @@ impl Adding<'_> {
         }
         epochs.sort_by_key(|epoch| epoch.time);
         epochs.dedup_by_key(|epoch| epoch.time);
-        let name = named(offer, &format!("{urls} files of its archive"));
-        Ok(site.filter(|_| !epochs.is_empty()).map(|site| BaseEpochs { name, site, epochs }))
+        let what = match urls {
+            1 => "a file of its archive".to_owned(),
+            _ => format!("{urls} files of its archive"),
+        };
+        let name = named(offer, &what);
+        Ok(site.filter(|_| !epochs.is_empty()).map(|site| BaseEpochs {
+            name,
+            site,
+            epochs,
+            is_of_archive: true,
+        }))
     }
 
     /// Stores a file and adds it to the inputs.
@@ -335,131 +402,7 @@ impl Files {
     }
 }
 
-/// The files of ephemerides to add for a span of time, each with its name: those that the service
-/// has `now`, or those of the archives.
-async fn chosen(
-    now: &Navigation,
-    archives: Option<&NavigationArchives>,
-    span: Option<(GpsTime, GpsTime)>,
-) -> Result<Vec<(String, Vec<u8>, Navigation)>, Failure> {
-    let mut own = now.clone();
-    own.retain(Ephemeris::is_legacy);
-    let in_force = span.map_or(InForce::Always, |span| InForce::of(&own, span));
-    let mut problem = None;
-    if in_force != InForce::Always
-        && let (Some((from, until)), Some(archives)) = (span, archives)
-    {
-        match archives.files((from - BEFORE_S, until)).await {
-            Err(error) => problem = Some(error.to_string()),
-            Ok(files) => {
-                let mut read = Vec::new();
-                for ArchivedFile { url, content } in files {
-                    match in_background(move || Ok(read_file(content))).await? {
-                        Ok((content, navigation)) => {
-                            read.push((url.to_string(), content, navigation));
-                        }
-                        Err(why) => problem = Some(format!("{url}: {why}")),
-                    }
-                }
-                if !read.is_empty() {
-                    return Ok(read);
-                }
-            }
-        }
-    }
-    if own.is_empty() || in_force == InForce::Never {
-        let of = span.map_or_else(String::new, |(from, _)| format!(" of {from}"));
-        let mut message = format!("there are no ephemerides{of}: neither in the files, nor here");
-        if let Some(problem) = problem {
-            message = format!("{message} ({problem})");
-        }
-        return Err(Failure::new(Code::NavigationRequired, message, Some("navigation")));
-    }
-    in_background(move || {
-        let mut content = Vec::new();
-        match write_navigation(&mut content, &own) {
-            Ok(()) => Ok(vec![(OWN_NAVIGATION.to_owned(), content, own)]),
-            Err(error) => {
-                let message = format!("writing the service's ephemerides: {error}");
-                Err(Failure::new(Code::Internal, message, None))
-            }
-        }
-    })
-    .await
-}
-
-/// The bytes of a file and the ephemerides in it.
-fn read_file(content: Vec<u8>) -> Result<(Vec<u8>, Navigation), String> {
-    let read = read_navigation(unpack_within(&*content, UNPACKED_LIMIT));
-    let navigation = read.map_err(|error| error.to_string())?.0;
-    match navigation.is_empty() {
-        true => Err("the file has no ephemerides".to_owned()),
-        false => Ok((content, navigation)),
-    }
-}
-
-/// Whether a base has epochs from the begin to the end of a span.
-fn covers(epochs: &[StoredBaseEpoch], (from, until): (GpsTime, GpsTime), age_s: f64) -> bool {
-    let near = |epoch: Option<&StoredBaseEpoch>, time: GpsTime| {
-        epoch.is_some_and(|epoch| (epoch.time - time).abs() <= age_s)
-    };
-    near(epochs.first(), from) && near(epochs.last(), until)
-}
-
-/// The name of the input of a base.
-fn named(offer: &PastBase, what: &str) -> String {
-    let distance = offer.distance_m.map(|m| format!(", {:.1} km from the rover", m / 1e3));
-    format!("base {}{}: {what}", offer.id(), distance.unwrap_or_default())
-}
-
 fn no_base(request: &JobRequest, why: &str) -> Failure {
     let message = format!("mode {} needs a base: {why}", request.options.mode);
     Failure::new(Code::BaseRequired, message, Some("base"))
-}
-
-/// The epochs of a base as RINEX 3.05, in pieces.
-async fn written(
-    name: &str,
-    site: &BaseSite,
-    epochs: Vec<StoredBaseEpoch>,
-    navigation: &Navigation,
-) -> Result<Vec<Vec<u8>>, Failure> {
-    let mut header = ObservationHeader::new(RinexVersion { major: 3, minor: 5 });
-    header.marker = name.split([' ', ',', ':']).nth(1).unwrap_or_default().to_owned();
-    header.approximate_position = Some(site.marker);
-    header.antenna.clone_from(&site.antenna);
-    header.antenna_delta_hen_m = site.antenna_delta_hen_m;
-    header.first_observation = epochs.first().map(|epoch| epoch.time);
-    header.add_channels(navigation);
-    in_background(move || {
-        let failed = |error: &dyn std::fmt::Display| {
-            Failure::new(Code::Internal, format!("writing the base's epochs: {error}"), None)
-        };
-        let decoded = || epochs.iter().map(PastBase::decoded);
-        decoded().for_each(|epoch| header.add_codes(&epoch));
-        header.codes.iter_mut().for_each(|codes| codes.sort_unstable());
-        let writer = ObservationWriter::new(Vec::new(), &header);
-        let mut writer = writer.map_err(|error| failed(&error))?;
-        let mut pieces = Vec::new();
-        for (index, epoch) in decoded().enumerate() {
-            writer.write_what_fits(epoch).map_err(|error| failed(&error))?;
-            if (index + 1).is_multiple_of(EPOCHS_PER_PIECE) {
-                pieces.push(writer.take());
-            }
-        }
-        pieces.push(writer.take());
-        Ok(pieces)
-    })
-    .await
-}
-
-/// Runs what reads files on a blocking thread.
-async fn in_background<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
-) -> Result<T, Failure> {
-    let done = spawn_blocking(work).await;
-    done.unwrap_or_else(|panic| {
-        let message = format!("reading the rover's file failed: {panic}");
-        Err(Failure::new(Code::Internal, message, None))
-    })
 }
