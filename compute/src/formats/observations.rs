@@ -251,14 +251,17 @@ impl fmt::Display for LeftOut {
             Self::Rinex(skipped) => write_lines(f, skipped)?,
             Self::GnssLogger(skipped) => write_lines(f, skipped)?,
             Self::Receiver(statistics) => {
-                for RefusalEntry { kind, reason, count, offsets } in statistics.refusals() {
-                    let positions = Positions { unit: "bytes", first: offsets, of: *count };
+                for entry in statistics.refusals() {
+                    let RefusalEntry { kind, reason, count, offsets, has_more } = entry;
+                    let has_more = *has_more;
+                    let positions = Positions { unit: "bytes", first: offsets, has_more };
                     let kind = kind.map_or_else(|| "frame".to_owned(), |kind| kind.to_string());
                     writeln!(f, "left out {count} times: {kind}: {reason} ({positions})")?;
                 }
                 if 0 < statistics.garbage_bytes() {
                     let (count, first) = (statistics.garbage_bytes(), statistics.first_garbage());
-                    let positions = Positions { unit: "from bytes", first, of: first.len() as u64 };
+                    let has_more = statistics.has_more_garbage();
+                    let positions = Positions { unit: "from bytes", first, has_more };
                     writeln!(f, "left out {count} bytes that belong to no frame ({positions})")?;
                 }
             }
@@ -272,8 +275,8 @@ fn write_lines<R: Copy + PartialEq + fmt::Display>(
     f: &mut fmt::Formatter<'_>,
     skipped: &Skipped<R>,
 ) -> fmt::Result {
-    for SkippedEntry { reason, count, lines } in skipped.entries() {
-        let positions = Positions { unit: "lines", first: lines, of: *count };
+    for SkippedEntry { reason, count, lines, has_more } in skipped.entries() {
+        let positions = Positions { unit: "lines", first: lines, has_more: *has_more };
         writeln!(f, "left out {count} times: {reason} ({positions})")?;
     }
     Ok(())
@@ -283,13 +286,13 @@ fn write_lines<R: Copy + PartialEq + fmt::Display>(
 struct Positions<'a> {
     unit: &'static str,
     first: &'a [u64],
-    of: u64,
+    has_more: bool,
 }
 
 impl fmt::Display for Positions<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let first: Vec<String> = self.first.iter().map(u64::to_string).collect();
-        let more = if (self.first.len() as u64) < self.of { " …" } else { "" };
+        let more = if self.has_more { " …" } else { "" };
         write!(f, "{} {}{more}", self.unit, first.join(", "))
     }
 }

@@ -165,12 +165,15 @@ impl<'a> Recording<'a> {
 
     /// The provenance of the epochs read so far.
     pub fn provenance(&self) -> Provenance {
-        let rover_name = self.inputs.rover.name();
-        let mut left_out = vec![(rover_name, self.rover.left_out())];
+        let mut left_out = vec![(self.inputs.rover.name(), self.rover.left_out())];
         left_out.extend(self.base.as_ref().map(BaseRecording::left_out));
         // A file of observations and navigation data is listed once.
-        let navigation = self.left_out.iter().filter(|(name, _)| *name != rover_name);
-        left_out.extend(navigation.cloned());
+        let observed = left_out.len();
+        for (name, navigation) in &self.left_out {
+            if left_out[..observed].iter().all(|(listed, _)| listed != name) {
+                left_out.push((name, navigation.clone()));
+            }
+        }
         let base_antenna = self.base.as_ref().and_then(BaseRecording::antenna_provenance);
         let rover_antenna = self.antenna.as_ref().map(|(antenna, _)| antenna.provenance());
         Provenance {

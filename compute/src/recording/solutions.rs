@@ -169,11 +169,12 @@ mod tests {
 
     use super::*;
     use crate::config::{Mode, Profile};
+    use crate::formats::receiver::RawxWriter;
     use crate::formats::rinex::{
         ObservationHeader, ObservationWriter, RinexVersion, write_navigation,
     };
-    use crate::gnss::{PositionSource, Reason};
-    use crate::recording::Input;
+    use crate::gnss::{Ecef, PositionSource, Reason};
+    use crate::recording::{BasePosition, Input};
     use crate::simulation::{Scenario, Simulator};
 
     const EPOCHS: usize = 20;
@@ -304,6 +305,27 @@ mod tests {
         let base = solutions.provenance().base.unwrap();
         assert_eq!(base.site.source, PositionSource::SinglePoints);
         assert_eq!(base.averaged, EPOCHS as u64);
+    }
+
+    /// Without navigation data, receiver data of the base are read for those, too.
+    #[test]
+    fn a_base_of_observations_and_navigation_data_is_listed_once() {
+        let scenario = Scenario { duration_s: 3.0, ..Scenario::rtk_open() };
+        let mut writer = RawxWriter::default();
+        let epochs = Simulator::new(scenario, 1).map(|epoch| writer.frame(&epoch.base.unwrap()));
+        let frames: Vec<u8> = epochs.flat_map(|frame| [frame, b"junk".to_vec()].concat()).collect();
+        let base = Input::from_bytes("base".to_owned(), frames.into());
+        let base_position = Some(BasePosition::Marker(Ecef::new(6_378_137.0, 0.0, 0.0)));
+        let navigation = Vec::new();
+        let inputs = RecordingInputs { base: Some(base), base_position, navigation, ..simulated() };
+        let mut solutions =
+            Solutions::open(&inputs, options(Mode::RtkFgo), AnswerKind::Causal).unwrap();
+        assert_eq!(solutions.by_ref().filter(Result::is_ok).count(), EPOCHS);
+        let left_out = solutions.provenance().left_out;
+        let names: Vec<&str> = left_out.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["rover", "base"]);
+        let base = left_out[1].1.to_string();
+        assert!(base.starts_with("left out 16 bytes that belong to no frame"), "{base}");
     }
 
     #[test]

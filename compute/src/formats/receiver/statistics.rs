@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use crate::formats::binary::Refusal;
+use crate::formats::skipped::note_position;
 
-/// Number of positions stored for one reason.
-const PLACES_LIMIT: usize = 10;
 /// Number of types and reasons stored; a damaged stream could produce many.
 const KINDS_LIMIT: usize = 512;
 const REASONS_LIMIT: usize = 128;
@@ -64,8 +63,11 @@ pub struct RefusalEntry {
     pub reason: Refusal,
     /// How often this happened.
     pub count: u64,
-    /// The first positions, at most ten, in bytes from the stream's start.
+    /// The frames of the first ones, at most ten, each once: offsets from the stream's start
+    /// (bytes).
     pub offsets: Vec<u64>,
+    /// Whether there are frames besides those.
+    pub has_more: bool,
 }
 
 /// Counts of messages by type, of refusals by reason, and of bytes outside frames.
@@ -75,6 +77,7 @@ pub struct Statistics {
     refusals: Vec<RefusalEntry>,
     garbage_bytes: u64,
     first_garbage: Vec<u64>,
+    has_more_garbage: bool,
 }
 
 /// The result of decoding a message.
@@ -116,6 +119,11 @@ impl Statistics {
         &self.first_garbage
     }
 
+    /// Whether there are such bytes after those.
+    pub(crate) const fn has_more_garbage(&self) -> bool {
+        self.has_more_garbage
+    }
+
     pub(super) fn count(&mut self, kind: MessageKind, outcome: Outcome) {
         if KINDS_LIMIT <= self.messages.len() && !self.messages.contains_key(&kind) {
             return;
@@ -132,19 +140,18 @@ impl Statistics {
         let known = self.refusals.iter_mut().find(|e| e.kind == kind && e.reason == reason);
         if let Some(entry) = known {
             entry.count += 1;
-            if entry.offsets.len() < PLACES_LIMIT {
-                entry.offsets.push(at);
-            }
+            entry.has_more |= !note_position(&mut entry.offsets, at);
         } else if self.refusals.len() < REASONS_LIMIT {
-            self.refusals.push(RefusalEntry { kind, reason, count: 1, offsets: vec![at] });
+            let offsets = vec![at];
+            self.refusals.push(RefusalEntry { kind, reason, count: 1, offsets, has_more: false });
         }
     }
 
     /// Counts `length` bytes outside frames; `begins` if the bytes before them belong to a frame.
     pub(super) fn garbage(&mut self, at: u64, length: u64, begins: bool) {
         self.garbage_bytes += length;
-        if begins && self.first_garbage.len() < PLACES_LIMIT {
-            self.first_garbage.push(at);
+        if begins {
+            self.has_more_garbage |= !note_position(&mut self.first_garbage, at);
         }
     }
 }

@@ -268,3 +268,69 @@ impl Decoder {
         events.extend(assembled.epochs.into_iter().flatten().map(Event::Epoch));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::binary::crc24q;
+
+    fn frame(payload: &[u8]) -> Vec<u8> {
+        let mut frame = [&[0xd3, 0, payload.len() as u8], payload].concat();
+        frame.extend_from_slice(&crc24q(&frame).to_be_bytes()[1..]);
+        frame
+    }
+
+    /// Message 1084: L1 C/A and L2 C/A of GLONASS satellites 1 and 2, whose channels are unknown.
+    fn glonass(ms: u64) -> Vec<u8> {
+        let head = [(1084, 12), (7, 12), (2, 3), (ms, 27), (0, 19)];
+        let masks = [(0b11, 2), (0, 62), (1 << 6 | 1, 8), (0, 24), (0b1111, 4)];
+        let satellites = [(70, 8), (70, 8), (512, 10), (512, 10)];
+        let signals = [[(0, 15); 4], [(0, 22); 4], [(15, 4); 4], [(0, 1); 4], [(40, 6); 4]];
+        let fields = [&head[..], &masks, &satellites, signals.as_flattened()].concat();
+        let bits: Vec<u8> = fields
+            .into_iter()
+            .flat_map(|(value, width): (u64, u32)| {
+                (0..width).rev().map(move |bit| (value >> bit & 1) as u8)
+            })
+            .collect();
+        let byte =
+            |bits: &[u8]| bits.iter().fold(0, |byte, bit| byte << 1 | bit) << (8 - bits.len());
+        frame(&bits.chunks(8).map(byte).collect::<Vec<u8>>())
+    }
+
+    /// A frame is listed once, by the offset of its first byte, however the stream is split.
+    #[test]
+    fn left_out_signals_are_found_at_their_frames() {
+        let station = frame(&[
+            0x3e, 0xd7, 0xd3, 0x02, 0x02, 0x98, 0x0e, 0xde, 0xef, 0x34, 0xb4, 0xbd, 0x62, 0xac,
+            0x09, 0x41, 0x98, 0x6f, 0x33,
+        ]);
+        let mut broken = station.clone();
+        broken[9] ^= 1;
+        let (mut bytes, mut starts) = (Vec::new(), Vec::new());
+        for second in 0..13 {
+            starts.push(bytes.len() as u64);
+            bytes.extend(glonass(1000 * second));
+            bytes.extend_from_slice(&station);
+        }
+        let broken_at = bytes.len() as u64;
+        bytes.extend(broken);
+        let reference = TimeReference::Day(GpsTime::from_week_seconds(2100, 2.0 * 86_400.0));
+        for length in [1, 7, 64, bytes.len()] {
+            let (mut decoder, mut events) = (Decoder::new(Some(reference)), Vec::new());
+            bytes.chunks(length).for_each(|chunk| decoder.push(chunk, &mut events));
+            decoder.finish(&mut events);
+            let epochs = events.iter().filter(|event| matches!(event, Event::Epoch(_))).count();
+            assert_eq!(epochs, 13, "{length}");
+            let [channel, checksum] = decoder.statistics().refusals() else {
+                panic!("{:?}", decoder.statistics())
+            };
+            assert_eq!(channel.reason, Refusal::UnknownChannel);
+            assert_eq!(channel.kind, Some(MessageKind::Rtcm(1084)));
+            assert_eq!((channel.count, channel.has_more), (13 * 4, true));
+            assert_eq!(channel.offsets, starts[..10], "{length}");
+            assert_eq!(checksum.reason, Refusal::Checksum);
+            assert_eq!(checksum.offsets, [broken_at], "{length}");
+        }
+    }
+}
