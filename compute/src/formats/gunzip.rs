@@ -1,4 +1,7 @@
-//! Gzip data that arrives in chunks of any size. Source: RFC 1952, section 2.2 (members).
+//! Gzip data that arrives in chunks of any size, or is read. Source: RFC 1952, section 2.2
+//! (members).
+
+use std::io::{BufRead, Error, ErrorKind, Read};
 
 use flate2::{Decompress, FlushDecompress, Status};
 
@@ -42,33 +45,121 @@ impl Gunzip {
     ) -> Result<(), E> {
         let mut block = vec![0; BLOCK_BYTES];
         loop {
-            if self.is_between {
-                if packed.is_empty() {
-                    return Ok(());
-                }
-                *self = Self { is_between: false, ..Self::new() };
-            }
-            let (read, written) = (self.member.total_in(), self.member.total_out());
-            let before = packed.len();
-            let status = self.member.decompress(packed, &mut block, FlushDecompress::None);
-            let status = status.map_err(|error| GunzipError { why: error.to_string() })?;
-            packed = &packed[(self.member.total_in() - read) as usize..];
-            let length = (self.member.total_out() - written) as usize;
-            take(&block[..length])?;
-            self.is_between = status == Status::StreamEnd;
-            // A block that is not full means that the bytes so far give no more output.
-            if !self.is_between && packed.is_empty() && length < block.len() {
+            if self.is_between && packed.is_empty() {
                 return Ok(());
             }
-            if !self.is_between && packed.len() == before && length == 0 {
-                return Err(GunzipError { why: "its content cannot be unpacked".to_owned() }.into());
+            let Step { read, written, outcome } = self.step(packed, &mut block);
+            outcome?;
+            packed = &packed[read..];
+            take(&block[..written])?;
+            // A block that is not full means that the bytes so far give no more output.
+            if !self.is_between && packed.is_empty() && written < block.len() {
+                return Ok(());
             }
         }
+    }
+
+    /// Unpacks bytes into `block`, up to the end of a member. Between two members there must be
+    /// some.
+    fn step(&mut self, packed: &[u8], block: &mut [u8]) -> Step {
+        if self.is_between {
+            *self = Self { is_between: false, ..Self::new() };
+        }
+        let (bytes_in, bytes_out) = (self.member.total_in(), self.member.total_out());
+        let status = self.member.decompress(packed, block, FlushDecompress::None);
+        let read = (self.member.total_in() - bytes_in) as usize;
+        let written = (self.member.total_out() - bytes_out) as usize;
+        let outcome = match status {
+            Ok(status) => {
+                self.is_between = status == Status::StreamEnd;
+                let is_stuck = !packed.is_empty() && read == 0 && written == 0;
+                let why = "its content cannot be unpacked";
+                if is_stuck && !self.is_between { Err(why.to_owned()) } else { Ok(()) }
+            }
+            Err(error) => Err(error.to_string()),
+        };
+        Step { read, written, outcome: outcome.map_err(|why| GunzipError { why }) }
     }
 
     /// Whether the data so far ends at the end of a member.
     pub(crate) const fn is_whole(&self) -> bool {
         self.is_between
+    }
+}
+
+/// What one step has read and written, also before an error.
+struct Step {
+    /// Packed bytes.
+    read: usize,
+    /// Unpacked bytes.
+    written: usize,
+    outcome: Result<(), GunzipError>,
+}
+
+/// Reads gzip data unpacked. The content up to an error is read before the error is returned.
+///
+/// Data that are cut off or damaged are an error with a [`GunzipError`] inside, of the kind
+/// `UnexpectedEof` where they are cut off. Other errors are those of `packed`.
+#[derive(Debug)]
+pub(super) struct GunzipReader<R> {
+    packed: R,
+    gunzip: Gunzip,
+    block: Vec<u8>,
+    /// Index of the first unpacked byte in `block` that is not consumed.
+    next: usize,
+    /// Index after the last one.
+    end: usize,
+    /// The error after these bytes.
+    failure: Option<(ErrorKind, GunzipError)>,
+}
+
+impl<R: BufRead> GunzipReader<R> {
+    pub(super) fn new(packed: R) -> Self {
+        let block = vec![0; BLOCK_BYTES];
+        Self { packed, gunzip: Gunzip::new(), block, next: 0, end: 0, failure: None }
+    }
+
+    /// Unpacks the next bytes, perhaps none; false at the end.
+    fn unpack(&mut self) -> Result<bool, Error> {
+        if let Some((kind, error)) = &self.failure {
+            return Err(Error::new(*kind, error.clone()));
+        }
+        let packed = self.packed.fill_buf()?;
+        let is_end = packed.is_empty();
+        if is_end && self.gunzip.is_whole() {
+            return Ok(false);
+        }
+        let Step { read, written, outcome } = self.gunzip.step(packed, &mut self.block);
+        self.packed.consume(read);
+        (self.next, self.end) = (0, written);
+        if let Err(error) = outcome {
+            self.failure = Some((ErrorKind::InvalidData, error));
+        } else if is_end && written == 0 && !self.gunzip.is_whole() {
+            let why = "the data are cut off".to_owned();
+            self.failure = Some((ErrorKind::UnexpectedEof, GunzipError { why }));
+        }
+        Ok(true)
+    }
+}
+
+impl<R: BufRead> BufRead for GunzipReader<R> {
+    fn fill_buf(&mut self) -> Result<&[u8], Error> {
+        while self.next == self.end && self.unpack()? {}
+        Ok(&self.block[self.next..self.end])
+    }
+
+    fn consume(&mut self, amount: usize) {
+        self.next = self.end.min(self.next + amount);
+    }
+}
+
+impl<R: BufRead> Read for GunzipReader<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Error> {
+        let block = self.fill_buf()?;
+        let length = block.len().min(buffer.len());
+        buffer[..length].copy_from_slice(&block[..length]);
+        self.consume(length);
+        Ok(length)
     }
 }
 

@@ -4,6 +4,7 @@ pub mod antex;
 mod binary;
 mod broadcast;
 mod csv;
+mod damage;
 mod decimal;
 mod encoder;
 pub mod geoid;
@@ -27,21 +28,21 @@ pub mod truth;
 mod ubx;
 mod unpack;
 
-use std::io::{BufRead, BufReader, Chain, Cursor, Read, Result};
-
-use flate2::bufread::MultiGzDecoder;
+use std::io::{BufRead, Chain, Cursor, Read, Result};
 
 pub(crate) use gunzip::Gunzip;
 pub use gunzip::GunzipError;
+use gunzip::GunzipReader;
 pub use unpack::{UnpackError, check_ratio, unpack_error, unpack_reader_within, unpack_within};
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.
 const GZIP_MAGIC: [u8; 2] = [0x1f, 0x8b];
-const INFLATED_BUFFER_BYTES: usize = 1 << 16;
 
 /// The bytes of `input`, inflated if they begin as gzip does.
 ///
-/// The content decides, not the file name. Only two buffers are held, for input of any length.
+/// The content decides, not the file name. One block and one window are held, for input of any
+/// length. The content before an error is read first; where the gzip data are cut off or damaged,
+/// the error has a [`GunzipError`] inside.
 pub fn decompress<R: BufRead>(mut input: R) -> impl BufRead {
     let mut head = Vec::with_capacity(GZIP_MAGIC.len());
     // An error here occurs again, and is reported, when the caller reads on.
@@ -49,8 +50,7 @@ pub fn decompress<R: BufRead>(mut input: R) -> impl BufRead {
     let is_gzip = head == GZIP_MAGIC;
     let whole = Cursor::new(head).chain(input);
     if is_gzip {
-        let inflated = MultiGzDecoder::new(whole);
-        Decompressed::Gzip(Box::new(BufReader::with_capacity(INFLATED_BUFFER_BYTES, inflated)))
+        Decompressed::Gzip(Box::new(GunzipReader::new(whole)))
     } else {
         Decompressed::Plain(whole)
     }
@@ -60,7 +60,7 @@ type Whole<R> = Chain<Cursor<Vec<u8>>, R>;
 
 enum Decompressed<R> {
     Plain(Whole<R>),
-    Gzip(Box<BufReader<MultiGzDecoder<Whole<R>>>>),
+    Gzip(Box<GunzipReader<Whole<R>>>),
 }
 
 impl<R: BufRead> Read for Decompressed<R> {

@@ -31,7 +31,7 @@ pub(super) fn observations(
     }
     let remedy = "name a RINEX observation file, UBX or RTCM 3 data, or a GnssLogger log";
     Observations::new(file, reference, navigation)
-        .map_err(|error| input.not_understood(&error, remedy))
+        .map_err(|error| input.not_understood(&error, error.remedy().unwrap_or(remedy)))
 }
 
 /// Station data in a file.
@@ -53,8 +53,7 @@ impl ReportedSite {
     /// # Errors
     /// Receiver data cannot be read.
     pub(super) fn of(input: &Input, file: &ObservationFile) -> Result<Self, RecordingError> {
-        if let Observations::Rinex(reader) = file {
-            let header = reader.header();
+        if let Some(header) = file.header() {
             return Ok(Self {
                 name: header.marker.clone(),
                 antenna: header.antenna.clone(),
@@ -63,7 +62,7 @@ impl ReportedSite {
                 antenna_delta_hen_m: header.antenna_delta_hen_m,
             });
         }
-        if let Observations::GnssLogger(_) = file {
+        if file.format() == FileFormat::GnssLogger {
             return Ok(Self {
                 name: input.name().to_owned(),
                 antenna: String::new(),

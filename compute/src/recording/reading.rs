@@ -1,6 +1,7 @@
 //! A recording, read epoch by epoch.
 
 use crate::config::PositioningOptions;
+use crate::formats::observations::GzipDamage;
 use crate::formats::receiver::TimeReference;
 use crate::formats::{antex, odometry};
 use crate::gnss::{Epoch, GpsTime, Navigation};
@@ -144,6 +145,18 @@ impl<'a> Recording<'a> {
                 base.follow(epoch.time, &self.navigation)?;
             }
             return Ok(true);
+        }
+    }
+
+    /// The error of a recording that has no epoch in the span.
+    pub(super) fn without_epochs(&self) -> RecordingError {
+        let rover = &self.inputs.rover;
+        match self.rover.left_out().damage {
+            Some(damage) => {
+                let reason = format!("no epoch in the span; {damage}");
+                rover.not_understood(&reason, GzipDamage::REMEDY)
+            }
+            None => RecordingError::NoEpochs { name: rover.name().to_owned() },
         }
     }
 

@@ -40,7 +40,6 @@ const LAYOUT: u16 = 1;
 /// # Ok::<(), graphfix_compute::recording::RecordingError>(())
 /// ```
 pub struct Solutions<'a> {
-    inputs: &'a RecordingInputs,
     recording: Recording<'a>,
     /// `None` after the last answer.
     solver: Option<Solver>,
@@ -66,7 +65,6 @@ impl<'a> Solutions<'a> {
     ) -> Result<Self, RecordingError> {
         inputs.check(&options, answer)?;
         Ok(Self {
-            inputs,
             recording: Recording::open(inputs)?,
             solver: Some(Solver::new(options, answer)),
             epoch: Epoch::new(GpsTime::EPOCH),
@@ -143,7 +141,7 @@ impl<'a> Solutions<'a> {
         }
         self.due.extend(self.solver.take().map(Solver::finish).unwrap_or_default());
         if self.epochs == 0 {
-            return Err(RecordingError::NoEpochs { name: self.inputs.rover.name().to_owned() });
+            return Err(self.recording.without_epochs());
         }
         Ok(())
     }
@@ -165,7 +163,7 @@ impl Iterator for Solutions<'_> {
 
 #[cfg(test)]
 mod tests {
-    use std::io::Read;
+    use std::io::{Read, Write};
 
     use super::*;
     use crate::config::{Mode, Profile};
@@ -326,6 +324,27 @@ mod tests {
         assert_eq!(names, ["rover", "base"]);
         let base = left_out[1].1.to_string();
         assert!(base.starts_with("left out 16 bytes that belong to no frame"), "{base}");
+    }
+
+    #[test]
+    fn a_rover_without_an_epoch_before_its_gzip_stream_is_cut_off_is_refused() {
+        let inputs = simulated();
+        let mut text = Vec::new();
+        inputs.rover.open().unwrap().read_to_end(&mut text).unwrap();
+        let end = b"END OF HEADER\n";
+        let header = text.windows(end.len()).position(|bytes| bytes == end).unwrap() + end.len();
+        let mut packer = flate2::write::GzEncoder::new(Vec::new(), Default::default());
+        packer.write_all(&text[..header]).unwrap();
+        let mut packed = packer.finish().unwrap();
+        packed.pop();
+        let rover = Input::from_bytes("rover".to_owned(), packed.into());
+        let cut = RecordingInputs { rover, ..inputs };
+        let mut solutions = Solutions::open(&cut, options(Mode::Spp), AnswerKind::Causal).unwrap();
+        let refused = solutions.next().unwrap().unwrap_err();
+        let expected = format!(
+            "rover: no epoch in the span; the gzip stream is cut off after {header} unpacked bytes"
+        );
+        assert_eq!(refused.to_string(), expected);
     }
 
     #[test]
