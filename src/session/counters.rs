@@ -105,6 +105,11 @@ impl Counters {
         histogram.observe(elapsed.as_secs_f64());
     }
 
+    /// Counts epochs that are answered with a refusal in place of a solution.
+    pub(crate) fn count_refused(&self, epochs: usize) {
+        self.meters.refused.inc_by(epochs as u64);
+    }
+
     /// Counts a committed epoch.
     pub(super) fn count_epoch(&self, status: Status) {
         self.meters.epochs.get_or_create(&[("status", status.name())]).inc();

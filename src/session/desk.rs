@@ -173,12 +173,15 @@ impl Sessions {
         id: &SessionId,
         epochs: Vec<SequencedEpoch>,
     ) -> Result<Pending, SessionError> {
-        self.admit_push(&epochs)?;
         let count = epochs.len();
-        let (reply, answer) = oneshot::channel();
-        let submission = Submission { epochs, permit: None, reply: Reply::Call(reply) };
-        self.send(id, &mut Some(Message::Submission(submission)), count).await?;
-        Ok(Pending(answer))
+        let posting = async {
+            self.admit_push(&epochs)?;
+            let (reply, answer) = oneshot::channel();
+            let submission = Submission { epochs, permit: None, reply: Reply::Call(reply) };
+            self.send(id, &mut Some(Message::Submission(submission)), count).await?;
+            Ok(Pending(answer))
+        };
+        posting.await.inspect_err(|_| self.counts().count_refused(count))
     }
 
     /// Takes a chunk of a receiver's stream. Returns when its bytes, and the epochs that they

@@ -20,6 +20,14 @@ pub struct StreamedPush {
 }
 
 impl StreamedPush {
+    /// Number of its epochs; zero of a chunk, whose epochs are not known before it is decoded.
+    pub(crate) fn known_epochs(&self) -> usize {
+        match &self.message {
+            Some(Message::Submission(submission)) => submission.epochs.len(),
+            _ => 0,
+        }
+    }
+
     /// Drops the push, which was not posted, without an answer.
     pub(crate) fn cancel(self) {
         if let Some(message) = self.message {

@@ -7,11 +7,15 @@ use std::process::{Command, Stdio};
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
+use graphfix::contract::v1;
 use serde_json::json;
 use tower::ServiceExt;
 
 use crate::support::doors::{Doors, epoch};
-use crate::support::python;
+use crate::support::pair::PAIR;
+use crate::support::{flow, python};
+
+use super::tenants::world;
 
 async fn page(doors: &Doors) -> String {
     let request = Request::get("/metrics").body(Body::empty()).unwrap();
@@ -71,6 +75,73 @@ async fn epochs_stages_commits_and_requests_are_counted() {
     assert_eq!(after["graphfix_committer_working"], 1.0);
     assert!(after["process_resident_memory_bytes"] > 1e6);
     assert!(after["graphfix_stage_seconds_sum{stage=\"committing\"}"] > 0.0);
+}
+
+/// By each call, and whether the epoch is refused alone, with its push, or before it is looked at.
+#[tokio::test]
+async fn refused_epochs_are_counted_by_whichever_call() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let path = format!("/v1/sessions/{session}/epochs");
+    let counted = async || values(&page(&doors).await)["graphfix_epochs_refused_total"];
+    doors.post(&path, json!({ "epochs": [epoch(1), epoch(5)] })).await;
+    assert_eq!(counted().await, 0.0);
+
+    let mut other = epoch(1);
+    other["observations"][0]["pseudorangeM"] = json!(23_000_000.0);
+    let (_, refused) = doors.post(&path, json!({ "epochs": [other] })).await;
+    assert_eq!((&refused["code"], counted().await), (&json!("SEQUENCE_CONFLICT"), 1.0));
+    doors.post(&path, json!({ "epochs": [epoch(2), epoch(5), epoch(6)] })).await;
+    assert_eq!(counted().await, 2.0, "superseded");
+    let mut malformed = epoch(7);
+    malformed["observations"][0]["satellite"] = json!("X99");
+    doors.post(&path, json!({ "epochs": [epoch(8), malformed] })).await;
+    assert_eq!(counted().await, 4.0, "all of a push that is malformed");
+    let absent = format!("/v1/sessions/ses_{}/epochs", "0".repeat(32));
+    doors.post(&absent, json!({ "epochs": [epoch(1)] })).await;
+    assert_eq!(counted().await, 5.0, "of no session");
+
+    let opening = v1::StreamOpening { session: session.clone(), ..Default::default() };
+    let mut stream = flow::epochs(doors.router.clone(), opening).await;
+    stream.answer().await;
+    let message = |value| serde_json::from_value::<v1::Epoch>(value).unwrap();
+    stream.push(vec![message(epoch(3)), message(epoch(9))]).await;
+    stream.until_durable(9).await;
+    assert_eq!(counted().await, 6.0, "by a stream");
+    let malformed = v1::Epoch { time: None, ..message(epoch(10)) };
+    stream.push(vec![malformed, message(epoch(11))]).await;
+    stream.refusal().await;
+    assert_eq!(counted().await, 8.0, "with the message of a stream");
+
+    let file = PAIR.base_file(Some(PAIR.position));
+    let mut late = epoch(12);
+    late["time"]["week"] = json!(2400);
+    doors.post(&path, json!({ "epochs": [late] })).await;
+    let raw = format!("/v1/sessions/{session}/raw?offset=0");
+    let (status, answer) = doors.upload(&raw, file[..100_000].to_vec()).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let results = answer["results"].as_array().unwrap();
+    let are_late = results.iter().all(|result| result["refusal"]["code"] == "OUT_OF_ORDER");
+    assert!(are_late, "{}", results[0]);
+    assert!(!results.is_empty());
+    assert_eq!(counted().await, 8.0 + results.len() as f64, "of raw bytes");
+}
+
+#[tokio::test]
+async fn epochs_beyond_a_quota_are_counted_as_refused() {
+    let doors = Doors::open().await;
+    let operator = world::operator(&doors).await;
+    let key = world::key_of(&doors, &operator, "a", "").await;
+    let session = world::session(&doors, &key, json!({})).await;
+    let quotas = json!({"quotas": {"epochsPerS": 0.0}});
+    world::asked(&doors, &operator, "PUT", "/v1/tenants/a", quotas).await;
+    let push = json!({ "epochs": [epoch(1), epoch(2)] });
+    let path = format!("/v1/sessions/{session}/epochs");
+    let (status, refused) = world::asked(&doors, &key, "POST", &path, push).await;
+    assert_eq!(status, StatusCode::TOO_MANY_REQUESTS, "{refused}");
+    let request = Request::get("/metrics").body(Body::empty()).unwrap();
+    let page = world::sent(&doors, &operator, request).await.text;
+    assert_eq!(values(&page)["graphfix_epochs_refused_total"], 2.0);
 }
 
 /// The parser of Prometheus's own Python client takes the page.

@@ -19,9 +19,12 @@ pub async fn push_epochs(
     caller: &Caller,
     request: v1::PushEpochsRequest,
 ) -> Result<v1::PushEpochsResponse, Refusal> {
-    let id = session_id(&request.session)?;
-    let epochs = epochs(request.epochs, &caller.limits().intake(), Numbered::Yes)?;
+    let count = request.epochs.len();
+    let read = session_id(&request.session)
+        .and_then(|id| Ok((id, epochs(request.epochs, &caller.limits().intake(), Numbered::Yes)?)));
     let sessions = caller.sessions().clone();
+    // The session counts those that it refuses itself.
+    let (id, epochs) = read.inspect_err(|_| sessions.counts().count_refused(count))?;
     let submitted = finished(async move { sessions.submit(&id, epochs).await }).await?;
     answer(caller, submitted)
 }

@@ -245,7 +245,10 @@ impl Task {
                     durable_through: *durable_through,
                     output,
                 }),
-                Err(error) => Err(error.clone()),
+                Err(error) => {
+                    self.counters.count_refused(length);
+                    Err(error.clone())
+                }
             };
             permit.iter_mut().for_each(|permit| permit.answered(&stages, &answer));
             drop(permit);
@@ -320,15 +323,13 @@ impl Task {
         solutions.iter().for_each(|stored| self.counters.count_epoch(stored.solution.status));
         let outcome = |(seq, plan)| {
             let result = match plan {
-                Plan::Refused(refusal) => {
-                    self.counters.meters.refused.inc();
-                    Err(refusal)
-                }
+                Plan::Refused(refusal) => Err(refusal),
                 Plan::Lookup(epoch) => answer_from(&stored, &epoch, durable_through)?,
                 Plan::Positioned { index, resent } => {
                     Ok(Acknowledged { solution: solutions[index].clone(), resent })
                 }
             };
+            self.counters.count_refused(usize::from(result.is_err()));
             Ok(EpochOutcome { seq, result })
         };
         let outcomes: Result<_, StoreError> = plans.into_iter().map(outcome).collect();

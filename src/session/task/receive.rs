@@ -83,7 +83,10 @@ impl Task {
             }
             false => self.solvers.run(Lane::RealTime, work).await?,
         };
-        let mut received = self.brought(received.map_err(SessionError::Raw)?).await?;
+        let received = received.map_err(SessionError::Raw)?;
+        let count = received.epochs.len();
+        let count_refused = |_: &SessionError| self.counters.count_refused(count);
+        let mut received = self.brought(received).await.inspect_err(count_refused)?;
         let epochs = std::mem::take(&mut received.epochs);
         self.solvers.meter().count_epochs(epochs.len());
         if let Some(permit) = permit {
@@ -96,7 +99,8 @@ impl Task {
         let change = Box::new(RawChange { position: reception.position.clone(), content });
         let number = |(seq, epoch)| SequencedEpoch { seq, epoch };
         let epochs: Vec<_> = (first_seq..).zip(epochs).map(number).collect();
-        let (outcomes, durable_through) = self.process(active, epochs, Some(change)).await?;
+        let processed = self.process(active, epochs, Some(change)).await;
+        let (outcomes, durable_through) = processed.inspect_err(count_refused)?;
         let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         if let Some(active) = active {
             active.raw = Some(reception);

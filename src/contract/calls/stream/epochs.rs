@@ -109,6 +109,10 @@ impl Carried for OfEpochs {
         request.epochs.len() as u64
     }
 
+    fn known_epochs(request: &v1::StreamRequest) -> usize {
+        request.epochs.len()
+    }
+
     fn answer(&mut self, caller: &Caller, answer: Submitted, response: &mut v1::StreamResponse) {
         self.durable_through = answer.durable_through;
         let presenter = caller.presenter(&answer.output);

@@ -46,6 +46,8 @@ pub(super) trait Carried: Sized + Send + Sync + 'static {
     ) -> Result<Option<Push>, Refusal>;
     /// Number of epochs or chunks in a message.
     fn count(request: &Self::Request) -> u64;
+    /// Number of epochs in a message; zero for a chunk, whose epochs are not known.
+    fn known_epochs(request: &Self::Request) -> usize;
     /// Adds an answer to a response.
     fn answer(&mut self, caller: &Caller, answer: Self::Answer, response: &mut Self::Response);
     /// Adds a stored answer that the device has missed.
@@ -324,13 +326,17 @@ where
     /// Takes a message; returns a response if it is to be answered at once.
     async fn receive(&mut self, request: C::Request) -> Option<C::Response> {
         self.heard = Instant::now();
+        let epochs = C::known_epochs(&request);
         match self.taken(request) {
             Ok(Some(push)) => {
                 self.post(push).await;
                 None
             }
             Ok(None) => Some(self.completed(C::Response::default())),
-            Err(refusal) => self.stop(refusal.into()),
+            Err(refusal) => {
+                self.caller.sessions().counts().count_refused(epochs);
+                self.stop(refusal.into())
+            }
         }
     }
 
@@ -364,8 +370,7 @@ where
         match error.retry_after().filter(|_| error.code().class() == Class::Exhausted) {
             Some(delay) => self.held = Some(Held { push, until: Instant::now() + delay }),
             None => {
-                self.ledger.forget_newest();
-                push.cancel();
+                self.refuse(push);
                 self.stop(Refusal::from(error).into());
             }
         }
@@ -376,10 +381,16 @@ where
         self.is_reading = false;
         self.fault.get_or_insert(fault);
         if let Some(held) = self.held.take() {
-            self.ledger.forget_newest();
-            held.push.cancel();
+            self.refuse(held.push);
         }
         None
+    }
+
+    /// Drops the newest push, which the session has not taken.
+    fn refuse(&mut self, push: StreamedPush) {
+        self.ledger.forget_newest();
+        self.caller.sessions().counts().count_refused(push.known_epochs());
+        push.cancel();
     }
 
     /// Answers what has become durable.

@@ -101,6 +101,10 @@ impl Carried for OfRaw {
         u64::from(!request.content.is_empty() || request.end)
     }
 
+    fn known_epochs(_: &v1::StreamRawRequest) -> usize {
+        0
+    }
+
     fn answer(
         &mut self,
         caller: &Caller,
