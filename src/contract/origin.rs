@@ -197,6 +197,9 @@ impl From<SessionError> for Refusal {
     fn from(error: SessionError) -> Self {
         let field = match error {
             SessionError::Configuration(error) => return error.into(),
+            SessionError::UnknownCleared(error) => {
+                return Self::from(error).at("clearOverrides");
+            }
             SessionError::Store(error) => return error.into(),
             SessionError::Aiding(error) => return error.into(),
             SessionError::Raw(error) => return error.into(),

@@ -1,5 +1,6 @@
 //! Creates sessions, and changes their settings.
 
+use crate::config::PositioningOptions;
 use crate::store::{Author, Created, NamedRequest, SessionSettings};
 
 use super::configuration::{base_of, settings, stored_options};
@@ -113,6 +114,12 @@ impl Sessions {
             return Err(SessionError::Changed { id: id.to_string() });
         }
         let before = row.settings.clone();
+        for name in &update.clear_overrides {
+            // One that an earlier version has stored may no longer exist.
+            if !before.overrides.contains_key(name) {
+                PositioningOptions::check_name(name).map_err(SessionError::UnknownCleared)?;
+            }
+        }
         let mut overrides = row.settings.overrides;
         overrides.retain(|name, _| !update.clear_overrides.contains(name));
         overrides.extend(update.overrides);

@@ -45,6 +45,9 @@ pub enum SessionError {
     /// A mode, profile, option or value does not exist.
     #[error(transparent)]
     Configuration(#[from] ConfigError),
+    /// An override is to be cleared of an option that does not exist.
+    #[error(transparent)]
+    UnknownCleared(ConfigError),
     /// The mode needs a base, and none is named.
     #[error("mode {mode} needs a base")]
     BaseRequired {
@@ -269,7 +272,7 @@ impl SessionError {
             Self::RequestConflict { .. } => Code::IdempotencyConflict,
             Self::Changed { .. } => Code::EtagMismatch,
             Self::Closed { .. } => Code::SessionClosed,
-            Self::Configuration(error) => error.code(),
+            Self::Configuration(error) | Self::UnknownCleared(error) => error.code(),
             Self::BaseRequired { .. } => Code::BaseRequired,
             Self::Frame(_) => Code::FrameUnavailable,
             Self::GeoidMissing => Code::GeoidMissing,

@@ -200,12 +200,7 @@ impl PositioningOptions {
     /// # Errors
     /// An unknown name, or a value the option does not take; the options are then unchanged.
     pub fn set(&mut self, key: &str, value: &str) -> Result<(), ConfigError> {
-        let Some(option) = all().find(|option| option.name == key) else {
-            return Err(ConfigError::UnknownKey {
-                key: key.to_owned(),
-                nearest: nearest_name(key),
-            });
-        };
+        let option = named(key)?;
         (option.set)(self, value.trim()).ok_or_else(|| {
             let (key, value) = (option.name, value.trim().to_owned());
             match missing_feature(key, &value) {
@@ -213,6 +208,19 @@ impl PositioningOptions {
                 None => ConfigError::InvalidValue { key, value, allowed: option.allowed },
             }
         })
+    }
+
+    /// Checks that an option of this name exists, of whichever mode.
+    ///
+    /// # Errors
+    /// An unknown name.
+    pub fn check_name(key: &str) -> Result<(), ConfigError> {
+        named(key).map(drop)
+    }
+
+    /// The names of the options of all modes: those that [`Self::set`] takes.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        all().map(|option| option.name)
     }
 
     /// Every option of the mode, with default, value in force, unit and meaning.
@@ -285,10 +293,18 @@ fn all() -> impl Iterator<Item = &'static OptionSpecification> {
     estimation.chain(OUTPUT_TABLE)
 }
 
+/// The option of this name.
+fn named(key: &str) -> Result<&'static OptionSpecification, ConfigError> {
+    all()
+        .find(|option| option.name == key)
+        .ok_or_else(|| ConfigError::UnknownKey { key: key.to_owned(), nearest: nearest_name(key) })
+}
+
 /// The option name with the smallest edit distance to `key`; the first of equals.
 fn nearest_name(key: &str) -> &'static str {
-    let names = all().map(|option| option.name);
-    names.min_by_key(|name| edit_distance(key, name)).expect("the table is not empty")
+    PositioningOptions::names()
+        .min_by_key(|name| edit_distance(key, name))
+        .expect("the table is not empty")
 }
 
 /// Levenshtein (1966) distance: insertions, deletions and substitutions from `a` to `b`.

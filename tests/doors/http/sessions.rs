@@ -31,6 +31,23 @@ async fn a_session_is_created_changed_and_closed() {
     assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "SESSION_CLOSED"));
 }
 
+/// A misspelt name would leave the override that was meant.
+#[tokio::test]
+async fn an_unknown_option_is_not_cleared() {
+    let doors = Doors::open().await;
+    let new = json!({"label": "rover 7", "overrides": {"elevation_mask_deg": "10"}});
+    let (_, created) = doors.post("/v1/sessions", new).await;
+    let path = format!("/v1/sessions/{}", created["session"].as_str().unwrap());
+    let change = json!({"label": "boat", "clearOverrides": ["elevation_mask"]});
+    let (status, refused) = doors.send("PATCH", &path, change).await;
+    assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "UNKNOWN_OPTION"));
+    assert_eq!(refused["field"], "clearOverrides");
+    assert_eq!(doors.get(&path).await.1, created, "nothing is changed");
+    // An option that is not overridden may be cleared, as when the request is sent again.
+    let change = json!({"clearOverrides": ["window_s"]});
+    assert_eq!(doors.send("PATCH", &path, change).await.0, StatusCode::OK);
+}
+
 #[tokio::test]
 async fn a_purged_session_is_gone() {
     let doors = Doors::open().await;
