@@ -2,7 +2,7 @@
 
 use crate::aiding::AidingError;
 use crate::aiding::bases::{BaseEpochRefusal, BaseFileError};
-use crate::config::{ConfigError, Mode, PositioningOptions, Profile};
+use crate::config::{ConfigError, PositioningOptions};
 use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
 use crate::formats::{UnpackError, unpack_error};
@@ -35,10 +35,9 @@ impl From<ConfigError> for Refusal {
     }
 }
 
-/// The names of all options.
+/// The names of all options, of whichever mode.
 fn option_names() -> String {
-    let options = PositioningOptions::new(Mode::Spp, Profile::General);
-    options.entries().iter().map(|entry| entry.name).collect::<Vec<_>>().join(", ")
+    PositioningOptions::names().collect::<Vec<_>>().join(", ")
 }
 
 impl From<RinexError> for Refusal {
@@ -289,7 +288,24 @@ impl From<EpochRefusal> for Refusal {
 
 #[cfg(test)]
 mod tests {
+    use crate::config::{Mode, Profile};
+
     use super::*;
+
+    /// What the message lists can be set, and nothing that can be set is left out.
+    #[test]
+    fn an_unknown_option_is_told_those_of_all_modes() {
+        let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let error = options.set("nope", "1").unwrap_err();
+        let message = Refusal::from(error).message;
+        let (_, listed) = message.split_once("known are ").unwrap();
+        let listed: Vec<&str> = listed.split(", ").collect();
+        for name in ["systems", "window_s", "motion", "differencing.pseudorange_sigma_m", "geoid"] {
+            assert!(listed.contains(&name), "{name} is not in {message}");
+        }
+        let shown: Vec<&str> = options.entries().iter().map(|entry| entry.name).collect();
+        assert_eq!(listed, shown, "rtk-fgo has every option");
+    }
 
     #[test]
     fn a_failure_tells_its_cause_to_the_log_only() {
