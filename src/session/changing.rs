@@ -142,6 +142,9 @@ impl Sessions {
         )?;
         self.check_settings(&settings)?;
         row.settings = SessionSettings { retention_days, ..settings };
+        if row.settings == before {
+            return self.info(id.clone(), row); // Nothing to write, and no act for the audit log.
+        }
         let entry = author.map(|author| {
             self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
         });
@@ -176,5 +179,8 @@ fn changes(before: &SessionSettings, now: &SessionSettings) -> String {
             changes.push(name.to_owned());
         }
     }
-    if changes.is_empty() { "as before".to_owned() } else { changes.join(", ") }
+    match changes.is_empty() {
+        true => "values of the profile in this version".to_owned(),
+        false => changes.join(", "),
+    }
 }

@@ -102,6 +102,9 @@ impl Store {
                 if expected.is_some() && changed != expected {
                     return Ok(false);
                 }
+                if present.as_ref().is_some_and(|row| row.quotas == *quotas) {
+                    return Ok(true); // No act for the audit log.
+                }
                 let set = sqlx::query(SET)
                     .bind(tenant.name())
                     .bind(unix_ms)

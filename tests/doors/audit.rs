@@ -200,6 +200,13 @@ async fn each_act_leaves_an_entry(database: Database) {
     let id = done(&doors, &operator, "Keys.Revoke").await;
     ok(&doors, &operator, "DELETE", &format!("/v1/keys/{id}"), Value::Null).await;
     assert_eq!(entries(&doors, &operator, &format!("&object={id}")).await.len(), 2);
+    let id = done(&doors, &operator, "Sessions.Update").await;
+    for change in [json!({}), json!({"label": "boat"}), json!({"clearOverrides": ["window_s"]})] {
+        ok(&doors, &operator, "PATCH", &format!("/v1/sessions/{id}"), change).await;
+    }
+    assert_eq!(entries(&doors, &operator, &format!("&object={id}")).await.len(), 1);
+    done(&doors, &operator, "Tenants.Set").await; // The same quotas again.
+    assert_eq!(entries(&doors, &operator, "&object=fleet").await.len(), 1);
     let log = Value::from(entries(&doors, &operator, "").await).to_string();
     for secret in [&*operator.secret, "gfx_", PASSWORD] {
         assert!(!log.contains(secret), "{secret} is in {log}");
