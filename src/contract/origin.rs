@@ -227,6 +227,7 @@ impl From<SessionError> for Refusal {
             SessionError::NoEpochs
             | SessionError::TooManyEpochs { .. }
             | SessionError::BurstOutOfOrder { .. }
+            | SessionError::BurstBeforeGps { .. }
             | SessionError::TooCostly { .. }
             | SessionError::TooManyObservations { .. } => Some("epochs"),
             SessionError::MailboxFull { .. }

@@ -138,6 +138,9 @@ impl SolvedBatch {
         if is_new && (ahead_s as f64) < epoch.time - rules.now {
             return Some(EpochRefusal::TimeImplausible { seq, time: epoch.time, ahead_s });
         }
+        if is_new && epoch.time < GpsTime::EPOCH {
+            return Some(EpochRefusal::TimeBeforeGps { seq, time: epoch.time });
+        }
         let (last_seq, last) = self.state.last?;
         let out_of_order = last_seq < seq && epoch.time <= last;
         out_of_order.then_some(EpochRefusal::OutOfOrder { seq, time: epoch.time, last })

@@ -119,6 +119,12 @@ pub enum SessionError {
         /// Index of the epoch that is not after the previous one, from 0.
         index: usize,
     },
+    /// An epoch of a burst is before GPS time begins.
+    #[error("epoch {index} of the burst is before GPS time begins, 1980-01-06")]
+    BurstBeforeGps {
+        /// Index of the epoch, from 0.
+        index: usize,
+    },
     /// An epoch of a burst has more observations than allowed.
     #[error(
         "epoch {index} of the burst has {observations} observations, at most {limit} are allowed"
@@ -284,6 +290,7 @@ impl SessionError {
             Self::NoEpochs => Code::NoEpochs,
             Self::TooManyEpochs { .. } => Code::TooManyEpochs,
             Self::BurstOutOfOrder { .. } => Code::OutOfOrder,
+            Self::BurstBeforeGps { .. } => Code::TimeImplausible,
             Self::TooManyObservations { .. } => Code::TooManyObservations,
             Self::MailboxFull { .. } => Code::MailboxFull,
             Self::Overloaded { .. } => Code::Overloaded,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::aiding::rover_source;
 use crate::config::{Mode, PositioningOptions};
-use crate::gnss::Navigation;
+use crate::gnss::{GpsTime, Navigation};
 use crate::positioning::PreparedOptions;
 use crate::store::SessionSettings;
 
@@ -151,6 +151,9 @@ impl Sessions {
             if limit < observations {
                 return Err(SessionError::TooManyObservations { index, observations, limit });
             }
+        }
+        if let Some(index) = burst.epochs.iter().position(|e| e.epoch.time < GpsTime::EPOCH) {
+            return Err(SessionError::BurstBeforeGps { index });
         }
         let disorder = burst.epochs.windows(2).position(|w| w[1].epoch.time <= w[0].epoch.time);
         if let Some(before) = disorder {

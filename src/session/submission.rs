@@ -101,6 +101,14 @@ pub enum EpochRefusal {
         /// The time that an epoch may be ahead of the clock (s).
         ahead_s: u64,
     },
+    /// The time is before GPS time begins, which no receiver has measured.
+    #[error("epoch {seq} at {time} is before GPS time begins, 1980-01-06")]
+    TimeBeforeGps {
+        /// Number of the epoch.
+        seq: u64,
+        /// Time of the epoch.
+        time: GpsTime,
+    },
     /// The epoch has more observations than allowed.
     #[error("epoch {seq} has {observations} observations, at most {limit} are allowed")]
     TooManyObservations {
@@ -127,7 +135,7 @@ impl EpochRefusal {
             Self::Superseded { .. } => Code::SequenceSuperseded,
             Self::AlreadyAcknowledged { .. } => Code::AlreadyAcknowledged,
             Self::OutOfOrder { .. } => Code::OutOfOrder,
-            Self::TimeImplausible { .. } => Code::TimeImplausible,
+            Self::TimeImplausible { .. } | Self::TimeBeforeGps { .. } => Code::TimeImplausible,
             Self::TooManyObservations { .. } => Code::TooManyObservations,
             Self::SequenceOutOfRange { .. } => Code::InvalidSequence,
         }
@@ -140,7 +148,9 @@ impl EpochRefusal {
             | Self::Superseded { .. }
             | Self::AlreadyAcknowledged { .. }
             | Self::SequenceOutOfRange { .. } => "seq",
-            Self::OutOfOrder { .. } | Self::TimeImplausible { .. } => "time",
+            Self::OutOfOrder { .. } | Self::TimeImplausible { .. } | Self::TimeBeforeGps { .. } => {
+                "time"
+            }
             Self::TooManyObservations { .. } => "observations",
         }
     }

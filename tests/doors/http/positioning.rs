@@ -38,6 +38,23 @@ async fn one_refusal_stops_no_other_epoch() {
     assert_eq!((status, code(&refused)), (StatusCode::CONFLICT, "SEQUENCE_CONFLICT"));
 }
 
+/// GPS time begins on 1980-01-06; a receiver without a time may count from before it.
+#[tokio::test]
+async fn an_epoch_before_gps_time_is_refused() {
+    let doors = Doors::open().await;
+    let path = format!("/v1/sessions/{}/epochs", doors.session().await);
+    let mut early = epoch(1);
+    early["time"] = json!({"week": -1, "nsOfWeek": 604_799_999_999_999_u64});
+    for path in [&*path, "/v1/solve"] {
+        let (status, refused) = doors.post(path, json!({"epochs": [early.clone()]})).await;
+        let expected = (StatusCode::CONFLICT, "TIME_IMPLAUSIBLE");
+        assert_eq!((status, code(&refused)), expected, "{path}: {refused}");
+    }
+    early["time"] = json!({"week": 0, "nsOfWeek": 0});
+    let (status, answer) = doors.post(&path, json!({"epochs": [early, epoch(2)]})).await;
+    assert_eq!((status, &answer["durableThrough"]), (StatusCode::OK, &json!(2)), "{answer}");
+}
+
 #[tokio::test]
 async fn a_solve_on_request_stores_nothing() {
     let doors = Doors::open().await;

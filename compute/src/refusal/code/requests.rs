@@ -180,7 +180,7 @@ macro_rules! requests {
     /// The epoch's time is not after the previous epoch's.
     OutOfOrder = "OUT_OF_ORDER", Precondition,
         "send epochs in order of time; open a new session for older data";
-    /// The epoch's time is far ahead of the service's clock.
+    /// The epoch's time is far ahead of the service's clock, or before GPS time begins.
     TimeImplausible = "TIME_IMPLAUSIBLE", Precondition,
         "correct the receiver's week number, or the service's clock; or let the operator raise \
          limits.future_s";
