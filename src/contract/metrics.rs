@@ -61,7 +61,8 @@ impl Service {
         let epochs = "Committed epochs by the status of their first answer";
         registry.register("epochs", epochs, meters.epochs.clone());
         registry.register("epochs_refused", "Refused epochs", meters.refused.clone());
-        registry.register("restores", "Sessions loaded from the database", meters.restores.clone());
+        let restores = "Sessions with epochs loaded from the database";
+        registry.register("restores", restores, meters.restores.clone());
         let quarantined = "Epochs on which an estimator failed";
         registry.register("epochs_quarantined", quarantined, meters.quarantined.clone());
         let help = "Time of a batch of epochs in each stage";

@@ -20,7 +20,7 @@ pub struct Counters {
 /// Meters of all sessions. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct SessionMeters {
-    /// States loaded from the store.
+    /// States of sessions with epochs that were loaded from the store.
     pub(crate) restores: Counter,
     /// Epochs on which an estimator panicked.
     pub(crate) quarantined: Counter,
@@ -74,7 +74,7 @@ impl Counters {
         Self { meters, in_memory: AtomicUsize::new(0), waiting: Arc::default() }
     }
 
-    /// Number of states loaded from the store.
+    /// Number of states of sessions with epochs that were loaded from the store.
     pub fn restores(&self) -> u64 {
         self.meters.restores.get()
     }

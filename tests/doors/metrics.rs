@@ -65,7 +65,7 @@ async fn epochs_stages_commits_and_requests_are_counted() {
         ("graphfix_commit_epochs_sum", 2.0),
         ("graphfix_requests_total{door=\"rest\",outcome=\"refused\"}", 1.0),
         ("graphfix_requests_total{door=\"rest\",outcome=\"failed\"}", 0.0),
-        ("graphfix_restores_total", 1.0),
+        ("graphfix_restores_total", 0.0), // There was nothing to load.
         ("graphfix_sessions_in_memory", 1.0),
     ] {
         assert_eq!(rise(name), expected, "{name}");
@@ -75,6 +75,12 @@ async fn epochs_stages_commits_and_requests_are_counted() {
     assert_eq!(after["graphfix_committer_working"], 1.0);
     assert!(after["process_resident_memory_bytes"] > 1e6);
     assert!(after["graphfix_stage_seconds_sum{stage=\"committing\"}"] > 0.0);
+
+    let doors = doors.restarted().await;
+    let push = json!({ "epochs": [epoch(3)] });
+    doors.post(&format!("/v1/sessions/{session}/epochs"), push).await;
+    let restarted = values(&page(&doors).await);
+    assert_eq!(restarted["graphfix_restores_total"], 1.0);
 }
 
 /// By each call, and whether the epoch is refused alone, with its push, or before it is looked at.

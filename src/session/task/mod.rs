@@ -387,7 +387,9 @@ impl Task {
                     false => self.restored(&configuration).await?,
                 });
                 let epoch_time = committed.epoch_time();
-                self.counters.meters.restores.inc();
+                if committed.last_seq().is_some() {
+                    self.counters.meters.restores.inc();
+                }
                 self.live.publish_unknown(self.key);
                 *active = Some(Active {
                     committed,
