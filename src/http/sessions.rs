@@ -178,8 +178,8 @@ pub(super) async fn update(
     Ok((etag(&session.etag), Json(session)))
 }
 
-/// Begins a new arc of a session: its next epoch may have any time, and its estimator starts again.
-/// Numbers go on rising.
+/// Begins a new arc of a session: its next epoch may be earlier than the last one, unless its time
+/// is implausible, and its estimator starts again. Numbers go on rising.
 #[utoipa::path(post, operation_id = "sessionsReset",
     path = "/v1/sessions/{session}:reset", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),

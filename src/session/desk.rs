@@ -124,8 +124,9 @@ impl Sessions {
         Self { trace, ..self }
     }
 
-    /// Begins a new arc of a session, after the epochs that wait: its next epoch may have any time,
-    /// and its estimator starts again. Numbers go on rising.
+    /// Begins a new arc of a session, after the epochs that wait: its next epoch may be earlier
+    /// than the last one, unless its time is implausible, and its estimator starts again. Numbers
+    /// go on rising.
     ///
     /// # Errors
     /// No session has this id, it is closed, or the store fails; nothing is then changed.

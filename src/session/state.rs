@@ -36,7 +36,7 @@ pub(super) const PANICS_AT_NS: i64 = 123_456_789;
 #[cfg(test)]
 use crate::gnss::constants::NS_PER_SECOND;
 
-/// Time of the last epoch at the start of an arc: the next epoch may have any time.
+/// Time of the last epoch at the start of an arc: the next epoch may be earlier.
 const BEFORE_ALL: GpsTime = GpsTime::from_ns(i64::MIN);
 
 /// The program version and options that compute a solution.
@@ -237,7 +237,7 @@ impl State {
         self.last.is_some_and(|(_, time)| time == BEFORE_ALL)
     }
 
-    /// Begins a new arc after the last epoch: the next one may have any time. Returns the last
+    /// Begins a new arc after the last epoch: the next one may be earlier. Returns the last
     /// revisions of the epochs in the window.
     pub(super) fn begin_arc(
         &mut self,

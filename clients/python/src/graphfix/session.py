@@ -290,7 +290,7 @@ class Session:
         return self._changed(self._calls.sessions.Close, CloseSessionRequest(session=self.id))
 
     def reset(self) -> SessionInfo:
-        """Begins a new arc: the next epoch may have any time, and its estimator starts again."""
+        """Begins a new arc: the next epoch may be earlier, and its estimator starts again."""
         request = ResetSessionRequest(session=self.id)
         return self._changed(self._calls.sessions.Reset, request, is_repeatable=False)
 
