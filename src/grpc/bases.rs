@@ -4,6 +4,7 @@ use tonic::{Request, Response, Status, async_trait};
 
 use crate::contract::{calls, v1};
 
+use super::metadata::request_id;
 use super::status::carry;
 use super::{Door, v1::bases_server::Bases};
 
@@ -13,7 +14,9 @@ impl Bases for Door {
         &self,
         request: Request<v1::CreateBaseRequest>,
     ) -> Result<Response<v1::Base>, Status> {
-        let created = calls::bases::create(&self.0.caller()?, request.into_inner()).await;
+        let (metadata, _, mut request) = request.into_parts();
+        request.request_id = request_id(&metadata, request.request_id)?;
+        let created = calls::bases::create(&self.0.caller()?, request).await;
         carry(created.map(|(base, _)| base))
     }
 

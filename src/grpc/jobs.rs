@@ -3,8 +3,10 @@
 use futures::StreamExt;
 use tonic::{Request, Response, Status, Streaming, async_trait};
 
+use crate::contract::v1::create_job_request::Content;
 use crate::contract::{calls, v1};
 
+use super::metadata::idempotency_key;
 use super::status::carry;
 use super::{Answered, Door, v1::jobs_server::Jobs};
 
@@ -14,7 +16,11 @@ impl Jobs for Door {
         &self,
         request: Request<Streaming<v1::CreateJobRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
-        Ok(Response::new(calls::jobs::create(&self.0.caller()?, request.into_inner()).await?))
+        let key = idempotency_key(request.metadata())?.map(Content::IdempotencyKey);
+        // As if the stream began with it; one in the stream is that of the request.
+        let named = key.map(|key| Ok(v1::CreateJobRequest { content: Some(key) }));
+        let messages = futures::stream::iter(named).chain(request.into_inner());
+        Ok(Response::new(calls::jobs::create(&self.0.caller()?, messages).await?))
     }
 
     async fn get(&self, request: Request<v1::GetJobRequest>) -> Result<Response<v1::Job>, Status> {

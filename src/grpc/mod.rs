@@ -8,6 +8,7 @@ mod frame;
 mod history;
 mod jobs;
 mod keys;
+mod metadata;
 mod navigation;
 mod operations;
 mod positioning;

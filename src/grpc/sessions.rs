@@ -5,6 +5,7 @@ use tonic::{Request, Response, Status, async_trait};
 
 use crate::contract::{calls, v1};
 
+use super::metadata::request_id;
 use super::status::carry;
 use super::{Answered, Door, v1::sessions_server::Sessions};
 
@@ -14,7 +15,9 @@ impl Sessions for Door {
         &self,
         request: Request<v1::CreateSessionRequest>,
     ) -> Result<Response<v1::Session>, Status> {
-        let created = calls::sessions::create(&self.0.caller()?, request.into_inner()).await;
+        let (metadata, _, mut request) = request.into_parts();
+        request.request_id = request_id(&metadata, request.request_id)?;
+        let created = calls::sessions::create(&self.0.caller()?, request).await;
         carry(created.map(|(session, _)| session))
     }
 

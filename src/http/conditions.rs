@@ -7,7 +7,7 @@ use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 
-use crate::contract::Refusal;
+use crate::contract::{Refusal, header_or_field};
 use crate::refusal::Code;
 
 use super::problem::Refused;
@@ -43,7 +43,7 @@ impl IdempotencyKey {
     /// # Errors
     /// They differ.
     pub(super) fn or(self, request_id: String) -> Result<String, Refusal> {
-        one_of((IDEMPOTENCY_KEY, self.0), ("requestId", request_id))
+        header_or_field((IDEMPOTENCY_KEY, self.0), ("requestId", request_id))
     }
 }
 
@@ -68,7 +68,7 @@ impl IfMatch {
     /// # Errors
     /// They differ.
     pub(super) fn or(self, etag: String) -> Result<String, Refusal> {
-        one_of((IF_MATCH, self.0), ("etag", etag))
+        header_or_field((IF_MATCH, self.0), ("etag", etag))
     }
 }
 
@@ -101,21 +101,6 @@ fn text<'a>(headers: &'a HeaderMap, name: &str) -> Result<Option<&'a str>, Refus
 fn unquoted(quoted: &str) -> Option<&str> {
     let inner = quoted.strip_prefix('"')?.strip_suffix('"')?;
     (!inner.contains('"')).then_some(inner)
-}
-
-/// A value that a header and a field may have.
-fn one_of(
-    (header, in_header): (&str, Option<String>),
-    (field, in_body): (&str, String),
-) -> Result<String, Refusal> {
-    match in_header {
-        Some(value) if !in_body.is_empty() && in_body != value => {
-            let message = format!("{header} has {value:?}, the body {in_body:?}");
-            Err(Refusal::new(Code::InvalidField, message).at(field))
-        }
-        Some(value) => Ok(value),
-        None => Ok(in_body),
-    }
 }
 
 #[cfg(test)]

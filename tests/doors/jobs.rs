@@ -247,8 +247,12 @@ async fn grpc_creates_the_same_job() {
     messages.extend(file("navigation", &MINUTE.navigation));
     messages.extend(file("base", &MINUTE.base));
     let mut client = JobsClient::new(doors.router.clone());
-    let by_grpc = client.create(stream::iter(messages)).await.unwrap().into_inner();
+    let by_grpc = client.create(stream::iter(messages.clone())).await.unwrap().into_inner();
     assert_eq!(by_grpc.job, by_rest["job"]);
+    let mut by_metadata = tonic::Request::new(stream::iter(messages.split_off(1)));
+    by_metadata.metadata_mut().insert("idempotency-key", "both doors".parse().unwrap());
+    let by_metadata = client.create(by_metadata).await.unwrap().into_inner();
+    assert_eq!(by_metadata.job, by_rest["job"], "the name in the metadata");
     let done = ended(&doors, &by_grpc.job).await;
     assert_eq!(done["state"], "SUCCEEDED", "{done}");
 

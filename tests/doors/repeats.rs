@@ -37,6 +37,13 @@ async fn sent(
     (head.status, head.headers, serde_json::from_slice(&body).unwrap())
 }
 
+/// A call of gRPC with the name of its request in the metadata.
+fn named_by_metadata<T>(message: T) -> tonic::Request<T> {
+    let mut request = tonic::Request::new(message);
+    request.metadata_mut().insert("idempotency-key", "6f1c".parse().unwrap());
+    request
+}
+
 async fn a_named_request_creates_one_session(database: Database) {
     let doors = Doors::on(&database.url).await;
     let (list, new) =
@@ -68,6 +75,16 @@ async fn a_named_request_creates_one_session(database: Database) {
     };
     let by_grpc = client.create(request.clone()).await.unwrap().into_inner();
     assert_eq!(by_grpc.session, session, "the same name on the other door");
+    let by_metadata = |request_id: &str| {
+        let request_id = request_id.to_owned();
+        named_by_metadata(v1::CreateSessionRequest { request_id, ..request.clone() })
+    };
+    for request_id in ["", "6f1c"] {
+        let again = client.create(by_metadata(request_id)).await.unwrap().into_inner();
+        assert_eq!(again.session, session, "the name in the metadata");
+    }
+    let status = client.create(by_metadata("7a2d")).await.unwrap_err();
+    assert_eq!(code_of(&status).as_deref(), Some("INVALID_FIELD"), "two names");
     request.mode = "fgo".to_owned();
     let status = client.create(request).await.unwrap_err();
     assert_eq!(status.code(), Code::AlreadyExists);
