@@ -4,7 +4,9 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use clap::Args;
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{ArgMatches, Args, Command, FromArgMatches};
 
 use crate::app;
 use crate::config::{STANDARD_DATABASE, ServiceConfiguration};
@@ -17,21 +19,56 @@ use super::Failure;
 /// Longest file with a URL that is read (bytes).
 const FILE_BYTES: u64 = 4096;
 
-/// The arguments that name the service's database.
-#[derive(Clone, Debug, Args)]
+/// The arguments that name the service's database: its URL, or the file of it, or neither.
+#[derive(Clone, Debug)]
 pub(super) struct DatabaseArgument {
-    /// The service's database: sqlite://FILE or postgres://…. Default: sqlite://graphfix.db.
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "GRAPHFIX_DATABASE",
-        global = true,
-        conflicts_with = "database_file"
-    )]
+    url: Option<String>,
+    file: Option<PathBuf>,
+}
+
+/// Both arguments as they are given.
+#[derive(Clone, Debug, Args)]
+struct Given {
+    /// The service's database: sqlite://FILE (serve creates it if absent) or postgres://….
+    /// Default: sqlite://graphfix.db.
+    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE", global = true)]
     database: Option<String>,
     /// File with that URL, which may have a password.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE", global = true)]
     database_file: Option<PathBuf>,
+}
+
+impl Args for DatabaseArgument {
+    fn augment_args(command: Command) -> Command {
+        Given::augment_args(command)
+    }
+
+    fn augment_args_for_update(command: Command) -> Command {
+        Given::augment_args_for_update(command)
+    }
+}
+
+impl FromArgMatches for DatabaseArgument {
+    /// An argument of the command line comes before the other one's variable of the environment.
+    fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
+        let Given { database: url, database_file: file } = Given::from_arg_matches(matches)?;
+        let is_argument = |id| matches.value_source(id) == Some(ValueSource::CommandLine);
+        let conflict = |message| Err(clap::Error::raw(ErrorKind::ArgumentConflict, message));
+        match (is_argument("database"), is_argument("database_file")) {
+            (true, true) => conflict("--database and --database-file exclude each other"),
+            (true, false) => Ok(Self { url, file: None }),
+            (false, true) => Ok(Self { url: None, file }),
+            (false, false) if url.is_some() && file.is_some() => {
+                conflict("GRAPHFIX_DATABASE and GRAPHFIX_DATABASE_FILE exclude each other")
+            }
+            (false, false) => Ok(Self { url, file }),
+        }
+    }
+
+    fn update_from_arg_matches(&mut self, matches: &ArgMatches) -> Result<(), clap::Error> {
+        *self = Self::from_arg_matches(matches)?;
+        Ok(())
+    }
 }
 
 impl DatabaseArgument {
@@ -43,31 +80,27 @@ impl DatabaseArgument {
         Ok(Store::open_beside(&self.url()?, &app::random_node()).await?)
     }
 
+    /// Prefers this database to that of the configuration's file.
+    pub(super) fn choose(self, configuration: &mut ServiceConfiguration) {
+        if let Some(url) = self.url {
+            (configuration.database, configuration.database_file) = (url, None);
+        }
+        if let Some(file) = self.file {
+            configuration.database = STANDARD_DATABASE.to_owned();
+            configuration.database_file = Some(file);
+        }
+    }
+
     /// URL of the database.
     ///
     /// # Errors
     /// The file cannot be read.
     pub(super) fn url(&self) -> Result<String, Failure> {
-        match (&self.database, &self.database_file) {
+        match (&self.url, &self.file) {
             (_, Some(file)) => url_in(file),
             (Some(url), None) => Ok(url.clone()),
             (None, None) => Ok(STANDARD_DATABASE.to_owned()),
         }
-    }
-}
-
-/// Prefers the database of the arguments to that of the configuration's file.
-pub(super) fn choose(
-    configuration: &mut ServiceConfiguration,
-    url: Option<String>,
-    file: Option<PathBuf>,
-) {
-    if let Some(url) = url {
-        (configuration.database, configuration.database_file) = (url, None);
-    }
-    if let Some(file) = file {
-        configuration.database = STANDARD_DATABASE.to_owned();
-        configuration.database_file = Some(file);
     }
 }
 

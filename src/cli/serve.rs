@@ -11,7 +11,7 @@ use crate::config::{S3Keys, ServiceConfiguration};
 use crate::feeds::{FeedOptions, TimeLimits};
 use crate::refusal::Code;
 
-use super::database::{choose, read_url};
+use super::database::{DatabaseArgument, read_url};
 use super::{Failure, host};
 
 /// Variable with the key of stored secrets.
@@ -51,9 +51,8 @@ pub(super) struct ServeArguments {
     /// Name of this node in the log and in answers. Default: the host's name and a random suffix.
     #[arg(long, value_name = "NAME", env = "GRAPHFIX_NODE")]
     node: Option<String>,
-    /// sqlite://FILE (created if absent) or postgres://…; default: sqlite://graphfix.db.
-    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE")]
-    database: Option<String>,
+    #[command(flatten)]
+    database: DatabaseArgument,
     /// Be a node of the cluster of the database, which is on Postgres; the other nodes reach this
     /// one at the address, such as http://10.0.0.2:8080. Default: the service is alone.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_CLUSTER")]
@@ -61,9 +60,6 @@ pub(super) struct ServeArguments {
     /// Authorities of the certificates of the other nodes (PEM). Default: those of browsers.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CLUSTER_CA")]
     cluster_ca: Option<PathBuf>,
-    /// File with the URL of the database, which may have a password.
-    #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE", conflicts_with = "database")]
-    database_file: Option<PathBuf>,
     /// File of the key (64 hexadecimal digits) with which passwords at casters and secrets of
     /// webhooks are encrypted before they are stored; GRAPHFIX_SECRETS_KEY may be the key itself.
     /// Default: none.
@@ -122,7 +118,7 @@ impl ServeArguments {
         tls.client_crl_file = self.tls_client_crl.or(tls.client_crl_file.take());
         configuration.hosts.extend(self.host);
         configuration.node = self.node.unwrap_or(configuration.node);
-        choose(&mut configuration, self.database, self.database_file);
+        self.database.choose(&mut configuration);
         let secrets = &mut configuration.secrets;
         secrets.key_file = self.secrets_key_file.or(secrets.key_file.take());
         secrets.former_key_files.extend(self.secrets_former_key_file);

@@ -13,7 +13,7 @@ use crate::config::ServiceConfiguration;
 use crate::feeds::TimeLimits;
 use crate::refusal::Code;
 
-use super::database::{choose, read_url};
+use super::database::{DatabaseArgument, read_url};
 use super::serve::configuration_of;
 use super::{Failure, host};
 
@@ -29,12 +29,8 @@ pub(super) struct WorkerArguments {
     /// Configuration file (TOML) of the service. Options here come before those in the file.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
-    /// The service's database: postgres://….
-    #[arg(long, value_name = "URL", env = "GRAPHFIX_DATABASE", conflicts_with = "database_file")]
-    database: Option<String>,
-    /// File with that URL, which may have a password.
-    #[arg(long, value_name = "FILE", env = "GRAPHFIX_DATABASE_FILE")]
-    database_file: Option<PathBuf>,
+    #[command(flatten)]
+    database: DatabaseArgument,
     /// The service's folder of jobs. Default: jobs.folder of the configuration file.
     #[arg(long, value_name = "FOLDER")]
     folder: Option<PathBuf>,
@@ -67,7 +63,7 @@ impl WorkerArguments {
     /// The configuration of file and arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
         let mut configuration = configuration_of(self.config.as_deref())?;
-        choose(&mut configuration, self.database, self.database_file);
+        self.database.choose(&mut configuration);
         configuration.jobs.folder = self.folder.or(configuration.jobs.folder);
         configuration.jobs.running = usize::from(self.running);
         configuration.node = self.node.unwrap_or(configuration.node);

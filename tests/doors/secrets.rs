@@ -217,6 +217,22 @@ fn the_url_of_the_database_may_be_in_a_file() {
 
     let both = graphfix(&["keys", "list", "--database", &database, "--database-file", file]);
     assert_eq!(both.status.code(), Some(2));
+    // What stands on the command line comes before the environment.
+    let elsewhere = format!("sqlite://{}", folder.path().join("elsewhere.db").display());
+    for (argument, variable) in [
+        (["--database-file", file], ("GRAPHFIX_DATABASE", &*elsewhere)),
+        (["--database", &database], ("GRAPHFIX_DATABASE_FILE", "/no/such/file")),
+    ] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        command.args(["keys", "list"]).args(argument).env(variable.0, variable.1);
+        let listed = command.output().unwrap();
+        assert!(listed.status.success(), "{}", String::from_utf8_lossy(&listed.stderr));
+        assert!(String::from_utf8_lossy(&listed.stdout).contains("read"));
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    let variables = [("GRAPHFIX_DATABASE", &*database), ("GRAPHFIX_DATABASE_FILE", file)];
+    let both = command.args(["keys", "list"]).envs(variables).output().unwrap();
+    assert_eq!(both.status.code(), Some(2));
     let absent = graphfix(&["keys", "list", "--database-file", "/no/such/file"]);
     let line = String::from_utf8(absent.stderr).unwrap();
     assert!(line.contains("FILE_NOT_READABLE") && line.contains("/no/such/file"), "{line}");
