@@ -6,7 +6,8 @@ use std::io::Write as _;
 use clap::{Args, Subcommand};
 
 use crate::clock::unix_ms;
-use crate::store::{Act as AuditedAct, Store, StoreError};
+use crate::refusal::Code;
+use crate::store::{Act as AuditedAct, Store};
 use crate::tenant::Tenant;
 
 use super::database::{DatabaseArgument, author};
@@ -44,7 +45,7 @@ pub(super) fn run(arguments: SecretsArguments) -> Result<(), Failure> {
         let store = arguments.database.open().await?;
         let done = act(&store, arguments.act).await;
         store.close().await;
-        Ok(done?)
+        done
     })?;
     // An error means that the reader of the pipe has closed it.
     std::io::stdout().write_all(text.as_bytes()).ok();
@@ -52,7 +53,10 @@ pub(super) fn run(arguments: SecretsArguments) -> Result<(), Failure> {
 }
 
 /// Does one act; returns what to print.
-async fn act(store: &Store, act: Act) -> Result<String, StoreError> {
+///
+/// # Errors
+/// No secret is stored under the key that is to be given up, or the database fails.
+async fn act(store: &Store, act: Act) -> Result<String, Failure> {
     match act {
         Act::List => {
             let mut text = String::new();
@@ -67,6 +71,10 @@ async fn act(store: &Store, act: Act) -> Result<String, StoreError> {
             let (tenant, change) = (Tenant::operator(), "gives the secrets under it up".to_owned());
             let act = AuditedAct { call: "Secrets.Forget", tenant: &tenant, object: &key, change };
             let forgotten = store.forget_secrets(&key, &author().does(act, unix_ms())).await?;
+            if forgotten == 0 {
+                let message = format!("no secret is stored under the key {key:?}");
+                return Err(Failure::new(Code::Usage, message, "see graphfix secrets list"));
+            }
             Ok(format!("{forgotten} secrets are given up\n"))
         }
     }

@@ -159,9 +159,13 @@ impl Store {
                                                   THEN 'FAILED' ELSE webhook_state END
                            WHERE webhook_secret_key = $1";
                 let jobs = sqlx::query(sql).bind(key).execute(&mut *transaction).await?;
+                let forgotten = bases.rows_affected() + jobs.rows_affected();
+                if forgotten == 0 {
+                    return Ok(0); // No act for the audit log.
+                }
                 note!(transaction, entry);
                 transaction.commit().await?;
-                Ok(bases.rows_affected() + jobs.rows_affected())
+                Ok(forgotten)
             };
             forget.await
         });

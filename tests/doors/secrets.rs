@@ -125,6 +125,11 @@ async fn a_password_is_stored_under_the_key_in_force(database: Database) {
 
     // The key is lost: its secrets are given up.
     assert!(done(&["secrets", "list", "--database", &database.url]).contains(&ids[1]));
+    let unknown = graphfix(&["secrets", "forget", "nope", "--database", &database.url]);
+    assert_eq!(unknown.status.code(), Some(1));
+    let line = String::from_utf8(unknown.stderr).unwrap();
+    assert!(line.contains("under the key \"nope\""), "{line}");
+    assert!(!done(&["keys", "audit", "--database", &database.url]).contains("Secrets.Forget"));
     let forgotten = done(&["secrets", "forget", &ids[1], "--database", &database.url]);
     assert_eq!(forgotten, "1 secrets are given up\n");
     let acts = done(&["keys", "audit", "--database", &database.url]);
