@@ -19,9 +19,14 @@ impl Failure {
         Self { code, message: message.to_string(), remedy: remedy.to_string() }
     }
 
-    /// From a code with its own remedy.
+    /// From a code with its own remedy, as a command has it.
     pub(crate) fn of(code: Code, message: impl fmt::Display) -> Self {
-        Self::new(code, message, code.remedy())
+        let remedy = match code {
+            // No request can be sent again.
+            Code::DatabaseFailed => "check the URL, and that the database exists and answers",
+            code => code.remedy(),
+        };
+        Self::new(code, message, remedy)
     }
 
     /// The stable code.
@@ -52,5 +57,16 @@ mod tests {
     fn a_failure_is_one_line_with_code_and_remedy() {
         let failure = Failure::new(Code::FileNotReadable, "no file a\nb", "name another");
         assert_eq!(failure.to_string(), "error[FILE_NOT_READABLE]: no file a b (name another)");
+    }
+
+    #[test]
+    fn a_command_whose_database_fails_is_not_told_to_send_a_request() {
+        let line =
+            Failure::of(Code::DatabaseFailed, "database \"nodb\" does not exist").to_string();
+        assert!(
+            line.ends_with("(check the URL, and that the database exists and answers)"),
+            "{line}"
+        );
+        assert!(!line.contains("request"), "{line}");
     }
 }
