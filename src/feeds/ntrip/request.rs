@@ -16,7 +16,8 @@ const TLS_PORT: u16 = 443;
 const HOST_LIMIT: usize = 255;
 const MOUNTPOINT_LIMIT: usize = 100;
 
-/// The address of a caster, such as `ntrip://caster.example.org:2101`.
+/// The address of a caster, such as `ntrip://caster.example.org:2101`; `ntrips://` for TLS.
+/// `http://` and `https://` mean the same, as other clients of casters write them.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Caster {
     /// Name or address of the host.

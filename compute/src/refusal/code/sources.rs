@@ -60,7 +60,7 @@ macro_rules! sources {
         "push a shorter span, or let the operator raise limits.epochs_per_base and bytes_per_base";
     /// The caster's address is invalid.
     CasterAddressInvalid = "CASTER_ADDRESS_INVALID", Malformed,
-        "write ntrip://HOST:PORT, or ntrips:// for TLS";
+        "write ntrip://HOST:PORT (or http://), or ntrips:// (or https://) for TLS";
     /// The mountpoint's name is invalid.
     MountpointInvalid = "MOUNTPOINT_INVALID", Malformed,
         "choose a mountpoint of the caster's sourcetable";
