@@ -79,7 +79,7 @@ pub enum RinexError {
     /// The bytes cannot be read or inflated.
     #[error("line {line}: reading failed: {source}")]
     ReadFailed {
-        /// Number of the last line read.
+        /// Number of the line that was being read.
         line: u64,
         /// Error of the input.
         source: io::Error,

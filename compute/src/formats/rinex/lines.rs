@@ -120,7 +120,9 @@ impl<R: Read> Lines<R> {
                 Ok(0) => self.at_end = true,
                 Ok(count) => self.end += count,
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
-                Err(source) => return Err(RinexError::ReadFailed { line: self.number, source }),
+                Err(source) => {
+                    return Err(RinexError::ReadFailed { line: self.number + 1, source });
+                }
             }
             return Ok(());
         }
@@ -163,6 +165,24 @@ mod tests {
             assert_eq!(lines.number(), number);
         }
         assert!(lines.next().unwrap().is_none());
+    }
+
+    /// An input that fails, as a packed file that is cut off.
+    struct Cut;
+
+    impl Read for Cut {
+        fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+            Err(ErrorKind::UnexpectedEof.into())
+        }
+    }
+
+    #[test]
+    fn a_failure_names_the_line_that_was_being_read() {
+        let error = Lines::new(Cut).next().unwrap_err();
+        assert_eq!((error.code(), error.line()), (Code::RinexReadFailed, 1));
+        let mut lines = Lines::new(b"one\ntw".chain(Cut));
+        assert_eq!(lines.next().unwrap(), Some(&b"one"[..]));
+        assert_eq!(lines.next().unwrap_err().line(), 2);
     }
 
     #[test]
