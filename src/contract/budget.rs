@@ -13,6 +13,7 @@ use crate::clock::unix_ms;
 use crate::config::IntakeLimits;
 use crate::formats;
 use crate::keys::Pass;
+use crate::meters::Counter;
 use crate::refusal::Code;
 use crate::traces::Trace;
 
@@ -37,6 +38,8 @@ struct Shared {
     total: usize,
     used: AtomicUsize,
     limits: IntakeLimits,
+    /// Bytes of all bodies that have arrived, before any unpacking.
+    arrived: Counter,
 }
 
 /// The memory of one request. It is returned when the last clone is dropped.
@@ -66,7 +69,12 @@ struct Leased {
 impl Budget {
     /// A budget of `total` bytes for requests with these limits.
     pub(crate) fn new(total: usize, limits: IntakeLimits) -> Self {
-        Self(Arc::new(Shared { total, used: AtomicUsize::new(0), limits }))
+        Self(Arc::new(Shared {
+            total,
+            used: AtomicUsize::new(0),
+            limits,
+            arrived: Counter::default(),
+        }))
     }
 
     /// The lease of a request of `pass` that begins.
@@ -87,6 +95,11 @@ impl Budget {
         }));
         lease.reserve(REQUEST_BYTES)?;
         Ok(lease)
+    }
+
+    /// Bytes of all bodies that have arrived, before any unpacking.
+    pub(super) fn arrived(&self) -> &Counter {
+        &self.0.arrived
     }
 
     /// Bytes in use.
@@ -226,6 +239,7 @@ impl Lease {
     /// Counts bytes of the body that have arrived.
     pub(crate) fn arrive(&self, bytes: usize) {
         self.0.arrived.fetch_add(bytes, Ordering::AcqRel);
+        self.0.budget.0.arrived.inc_by(bytes as u64);
     }
 
     /// Bytes of the body that have arrived, before any unpacking.

@@ -3,6 +3,7 @@
 //! `docs/operations.md` lists the names with what they mean for an operator.
 
 use std::borrow::Cow;
+use std::sync::atomic::AtomicU64;
 
 use prometheus_client::encoding::text::{encode, encode_registry};
 use prometheus_client::metrics::counter::ConstCounter;
@@ -13,12 +14,37 @@ use prometheus_client::registry::{Registry, Unit};
 use crate::aiding::bases::BaseId;
 use crate::cluster::ClusterMeters;
 use crate::meters::{Family, Gauge, Label, Usage};
+use crate::quotas::Meter;
 use crate::store::CommitterState;
 
 use super::Service;
 
 /// States of streams of casters, as the API names them.
 const FEED_STATES: [&str; 3] = ["CONNECTING", "STREAMING", "WAITING"];
+
+/// A gauge of each tenant.
+type OfTenants = Family<[(&'static str, String); 1], Gauge<f64, AtomicU64>>;
+/// What a tenant uses of a quota, if it is known, and the quota, if it has one.
+type Budget = fn(&Meter) -> (Option<f64>, Option<f64>);
+
+/// The quotas that meters of tenants measure.
+const BUDGETS: [(&str, &str, Budget); 4] = [
+    ("tenant_epochs_per_second", "Epochs a second of a tenant, over ten seconds", |meter| {
+        (Some(meter.rates().epochs_per_s), meter.quotas().epochs_per_s)
+    }),
+    ("tenant_cpu_seconds_per_minute", "Time of solvers for a tenant in a minute", |meter| {
+        (Some(meter.rates().cpu_s_per_minute), meter.quotas().cpu_s_per_minute)
+    }),
+    ("tenant_sessions", "Sessions of a tenant, if it has a quota of what is stored", |meter| {
+        let number = |sessions: u64| sessions as f64;
+        (meter.stored().map(|stored| number(stored.sessions)), meter.quotas().sessions.map(number))
+    }),
+    ("tenant_stored_bytes", "Bytes of a tenant, if it has a quota of what is stored", |meter| {
+        let number = |bytes: u64| bytes as f64;
+        let stored = meter.stored().map(|stored| number(stored.stored_bytes));
+        (stored, meter.quotas().stored_bytes.map(number))
+    }),
+];
 
 /// A page of meters that is being written.
 struct Page(Registry);
@@ -47,6 +73,7 @@ impl Service {
         self.write_sessions(&mut page);
         self.write_store(&mut page);
         self.write_requests(&mut page);
+        self.write_tenants(&mut page);
         self.write_aiding(&mut page).await;
         let mut text = String::new();
         encode_registry(&mut text, &process()).expect("a string takes any text");
@@ -83,6 +110,8 @@ impl Service {
         let seconds = "Time of a transaction";
         registry.register_with_unit("commit", seconds, Unit::Seconds, meters.seconds.clone());
         registry.register("commit_epochs", "Epochs of a transaction", meters.epochs.clone());
+        let bytes = "Bytes of epochs, solutions, states and raw pieces in transactions";
+        registry.register_with_unit("committed", bytes, Unit::Bytes, meters.bytes.clone());
         page.counter("commit_failures", "Failed transactions", health.failures);
         page.counter("committer_panics", "Panics of the committer", health.panics);
         let is_working = f64::from(health.state == CommitterState::Working);
@@ -101,6 +130,8 @@ impl Service {
         let seconds = "Time from a request to the head of its answer";
         registry.register_with_unit("request", seconds, Unit::Seconds, meters.seconds.clone());
         registry.register("connections", "Open connections", meters.connections.clone());
+        let (received, bytes) = (self.budget().arrived().clone(), "Bytes of bodies of requests");
+        registry.register_with_unit("received", bytes, Unit::Bytes, received);
         let tls = self.tls().map(|tls| tls.meters().clone()).unwrap_or_default();
         let help = "End of the certificate (Unix time), 0 without TLS";
         let expiry = tls.expiry_s.clone();
@@ -129,6 +160,25 @@ impl Service {
         page.0.register("trace_spans_dropped", help, traces.dropped);
         let is_draining = f64::from(self.is_draining());
         page.gauge("draining", "1 while the service is about to stop, otherwise 0", is_draining);
+    }
+
+    /// What tenants use of their quotas, as their meters know it, and these.
+    fn write_tenants(&self, page: &mut Page) {
+        let meters = self.sessions().meters().all();
+        for (name, help, budget) in BUDGETS {
+            let (used, limit) = <(OfTenants, OfTenants)>::default();
+            for meter in &meters {
+                let tenant = [("tenant", meter.tenant().name().to_owned())];
+                let (amount, quota) = budget(meter);
+                for (family, value) in [(&used, amount), (&limit, quota)] {
+                    if let Some(value) = value {
+                        family.get_or_create(&tenant).set(value);
+                    }
+                }
+            }
+            page.0.register(name, help, used);
+            page.0.register(format!("{name}_limit"), format!("Quota: {help}"), limit);
+        }
     }
 
     async fn write_aiding(&self, page: &mut Page) {

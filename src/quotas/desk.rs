@@ -18,7 +18,7 @@ use super::{Meter, QuotaError};
 
 /// Interval at which changed quotas are read.
 const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
-/// Interval at which the bytes of tenants with a quota of them are counted.
+/// Interval at which sessions and bytes of tenants with a quota of them are counted.
 const COUNT_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The quotas of all tenants. All clones share them.
@@ -75,10 +75,10 @@ impl Meters {
         by_tenant.entry(tenant.clone()).or_insert_with(new).clone()
     }
 
-    fn with_stored_quota(&self) -> Vec<Arc<Meter>> {
+    /// The meters of tenants that have quotas, or have called since the start.
+    pub(crate) fn all(&self) -> Vec<Arc<Meter>> {
         let by_tenant = self.0.by_tenant.read().unwrap_or_else(PoisonError::into_inner);
-        let has_quota = |meter: &&Arc<Meter>| meter.quotas().stored_bytes.is_some();
-        by_tenant.values().filter(has_quota).cloned().collect()
+        by_tenant.values().cloned().collect()
     }
 
     /// Reads the quotas that were set since the last time.
@@ -86,9 +86,9 @@ impl Meters {
         for row in store.changed_tenants(self.0.changed.load(Ordering::Acquire)).await? {
             self.of(&row.tenant).set(row.quotas);
             self.0.changed.fetch_max(row.changed, Ordering::AcqRel);
-            if row.quotas.stored_bytes.is_some() {
-                let used = store.tenant_use(&row.tenant).await?;
-                self.of(&row.tenant).set_stored(used.stored_bytes);
+            if row.quotas.is_of_stored() {
+                let stored = store.tenant_use(&row.tenant).await?;
+                self.of(&row.tenant).set_stored(stored);
             }
         }
         Ok(())
@@ -201,9 +201,10 @@ async fn keep(store: Store, meters: Meters) {
         };
         if is_current && COUNT_INTERVAL <= counted.elapsed() {
             counted = Instant::now();
-            for meter in meters.with_stored_quota() {
+            let is_counted = |meter: &Arc<Meter>| meter.quotas().is_of_stored();
+            for meter in meters.all().into_iter().filter(is_counted) {
                 match store.tenant_use(meter.tenant()).await {
-                    Ok(used) => meter.set_stored(used.stored_bytes),
+                    Ok(stored) => meter.set_stored(stored),
                     Err(error) => tracing::warn!(%error, "the bytes of a tenant are not counted"),
                 }
             }

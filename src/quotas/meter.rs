@@ -1,9 +1,9 @@
 //! What one tenant uses, beside what it may.
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::store::TenantUse;
 use crate::tenant::{Quotas, Tenant};
 
 use super::QuotaError;
@@ -22,8 +22,6 @@ pub struct Meter {
     tenant: Tenant,
     begun: Instant,
     inner: Mutex<Inner>,
-    /// Bytes in the database when they were last counted.
-    stored_bytes: AtomicU64,
     /// Locked while a session is created, so that their number never exceeds the quota.
     creating: tokio::sync::Mutex<()>,
 }
@@ -33,6 +31,8 @@ struct Inner {
     quotas: Quotas,
     epochs: Window,
     cpu_s: Window,
+    /// What it had stored when that was last counted.
+    stored: Option<TenantUse>,
 }
 
 /// What a tenant has used recently.
@@ -50,8 +50,7 @@ impl Meter {
         Self {
             tenant,
             begun: Instant::now(),
-            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s }),
-            stored_bytes: AtomicU64::new(0),
+            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s, stored: None }),
             creating: tokio::sync::Mutex::new(()),
         }
     }
@@ -70,8 +69,15 @@ impl Meter {
         self.lock().quotas = quotas;
     }
 
-    pub(super) fn set_stored(&self, bytes: u64) {
-        self.stored_bytes.store(bytes, Ordering::Relaxed);
+    pub(super) fn set_stored(&self, stored: TenantUse) {
+        self.lock().stored = Some(stored);
+    }
+
+    /// What it had stored when that was last counted, ten seconds ago at most; `None` if it has no
+    /// quota of sessions or bytes.
+    pub(crate) fn stored(&self) -> Option<TenantUse> {
+        let inner = self.lock();
+        inner.stored.filter(|_| inner.quotas.is_of_stored())
     }
 
     /// What it has used recently.
@@ -98,7 +104,7 @@ impl Meter {
             }
         }
         if let Some(limit) = inner.quotas.stored_bytes {
-            let used = self.stored_bytes.load(Ordering::Relaxed);
+            let used = inner.stored.map_or(0, |stored| stored.stored_bytes);
             if limit <= used {
                 return Err(QuotaError::Stored { used, limit, retry_after: STORED_DELAY });
             }
@@ -179,7 +185,7 @@ mod tests {
         let meter = meter(Quotas::default());
         meter.count_epochs(1_000_000);
         meter.count_cpu(Duration::from_secs(1_000_000));
-        meter.set_stored(u64::MAX);
+        meter.set_stored(TenantUse { sessions: 1, stored_bytes: u64::MAX });
         meter.admit_epochs().unwrap();
         assert_eq!(meter.computation_delay(), Duration::ZERO);
     }
@@ -191,7 +197,7 @@ mod tests {
             meter.admit_epochs().unwrap();
             meter.count_epochs(1000);
             meter.count_cpu(Duration::from_secs(90));
-            meter.set_stored(1000);
+            meter.set_stored(TenantUse { sessions: 1, stored_bytes: 1000 });
             meter.admit_epochs().unwrap_err()
         };
         let none = Quotas::default();

@@ -68,6 +68,11 @@ pub struct Quotas {
 }
 
 impl Quotas {
+    /// Whether there is a quota of sessions or of their bytes, which are counted in the store.
+    pub(crate) const fn is_of_stored(&self) -> bool {
+        self.sessions.is_some() || self.stored_bytes.is_some()
+    }
+
     /// What differs from the quotas before, for people: each quota with its value before and now.
     pub(crate) fn changes_since(&self, before: &Self) -> String {
         let count = |quota: Option<u64>| quota.map(|quota| quota.to_string());

@@ -145,9 +145,54 @@ async fn epochs_beyond_a_quota_are_counted_as_refused() {
     let path = format!("/v1/sessions/{session}/epochs");
     let (status, refused) = world::asked(&doors, &key, "POST", &path, push).await;
     assert_eq!(status, StatusCode::TOO_MANY_REQUESTS, "{refused}");
+    assert_eq!(read_by(&doors, &operator).await["graphfix_epochs_refused_total"], 2.0);
+}
+
+/// The values of the page that a key reads.
+async fn read_by(doors: &Doors, key: &world::Key) -> BTreeMap<String, f64> {
     let request = Request::get("/metrics").body(Body::empty()).unwrap();
-    let page = world::sent(&doors, &operator, request).await.text;
-    assert_eq!(values(&page)["graphfix_epochs_refused_total"], 2.0);
+    values(&world::sent(doors, key, request).await.text)
+}
+
+/// Each tenant's, and none of a tenant that is not there. Quotas stand beside what they limit.
+#[tokio::test]
+async fn the_use_of_quotas_is_on_the_page() {
+    let doors = Doors::open().await;
+    let operator = world::operator(&doors).await;
+    let limited = world::key_of(&doors, &operator, "limited", "").await;
+    let free = world::key_of(&doors, &operator, "free", "").await;
+    for key in [&limited, &free] {
+        let session = world::session(&doors, key, json!({})).await;
+        let path = format!("/v1/sessions/{session}/epochs");
+        let push = json!({ "epochs": [epoch(1), epoch(2)] });
+        assert_eq!(world::asked(&doors, key, "POST", &path, push).await.0, StatusCode::OK);
+    }
+    let absent = "/v1/tenants/absent";
+    world::asked(&doors, &operator, "GET", absent, json!(null)).await;
+    let quotas = json!({"sessions": 7, "epochsPerS": 100.0, "cpuSPerMinute": 30.0,
+                        "storedBytes": 1_000_000});
+    let quotas = json!({ "quotas": quotas });
+    let (status, set) = world::asked(&doors, &operator, "PUT", "/v1/tenants/limited", quotas).await;
+    assert_eq!(status, StatusCode::OK, "{set}");
+    let page = read_by(&doors, &operator).await;
+    let of = |name: &str, tenant: &str| {
+        page.get(&format!("graphfix_tenant_{name}{{tenant=\"{tenant}\"}}")).copied()
+    };
+    for (name, limit) in [
+        ("sessions", 7.0),
+        ("epochs_per_second", 100.0),
+        ("cpu_seconds_per_minute", 30.0),
+        ("stored_bytes", 1e6),
+    ] {
+        assert_eq!(of(&format!("{name}_limit"), "limited"), Some(limit), "{name}");
+        assert_eq!(of(&format!("{name}_limit"), "free"), None, "{name}");
+        assert_eq!(of(name, "absent"), None, "{name}");
+    }
+    assert_eq!((of("sessions", "limited"), of("sessions", "free")), (Some(1.0), None));
+    assert!(0.0 < of("stored_bytes", "limited").unwrap());
+    assert!(0.0 < of("epochs_per_second", "free").unwrap());
+    assert!(100.0 < page["graphfix_received_bytes_total"]);
+    assert!(100.0 < page["graphfix_committed_bytes_total"]);
 }
 
 /// The parser of Prometheus's own Python client takes the page.

@@ -16,12 +16,14 @@ pub(crate) struct CommitterMeters {
     pub(crate) seconds: Histogram,
     /// Epochs of each of them.
     pub(crate) epochs: Histogram,
+    /// Bytes of their epochs, solutions, states and raw pieces, as encoded.
+    pub(crate) bytes: Counter,
 }
 
 impl CommitterMeters {
     pub(super) fn new() -> Self {
-        let (transactions, seconds) = (Counter::default(), meters::times());
-        Self { transactions, seconds, epochs: meters::numbers() }
+        let (transactions, bytes) = <(Counter, Counter)>::default();
+        Self { transactions, seconds: meters::times(), epochs: meters::numbers(), bytes }
     }
 
     /// Counts a transaction.
@@ -30,5 +32,7 @@ impl CommitterMeters {
         self.transactions.inc();
         self.seconds.observe(elapsed.as_secs_f64());
         self.epochs.observe(epochs as f64);
+        let bytes: usize = batches.iter().map(|batch| batch.bytes()).sum();
+        self.bytes.inc_by(bytes as u64);
     }
 }
