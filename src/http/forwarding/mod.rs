@@ -23,7 +23,7 @@ use answer::Forwarded;
 pub(super) use peers::Peers;
 
 /// Header with the id of the session that a request is for, which balancers hash, too.
-const SESSION: HeaderName = HeaderName::from_static("x-graphfix-session");
+pub(super) const SESSION: HeaderName = HeaderName::from_static("x-graphfix-session");
 /// Header of a request that another node has sent on: its fence and its secret.
 const FROM: HeaderName = HeaderName::from_static("x-graphfix-from");
 /// Header with the id of the key of a request that another node has sent on; empty for nobody's.

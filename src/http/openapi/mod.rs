@@ -1,14 +1,18 @@
 //! The REST door as OpenAPI 3.1.
 
+mod types;
+
 use utoipa::OpenApi;
-use utoipa::openapi::RefOr;
-use utoipa::openapi::path::{Operation, PathItem};
+use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn, PathItem};
+use utoipa::openapi::schema::{ObjectBuilder, Type};
 use utoipa::openapi::security::{
     ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme,
 };
+use utoipa::openapi::{RefOr, Required};
 
 use crate::contract::access::{CALLS, Call, Need};
 
+use super::forwarding::SESSION;
 use super::problem::Problem;
 use super::{
     audit, bases, head_events, history, job_events, jobs, keys, navigation, observations,
@@ -108,8 +112,14 @@ pub fn document() -> utoipa::openapi::OpenApi {
     let components = document.components.get_or_insert_default();
     let named = |(name, scheme): (&str, SecurityScheme)| (name.to_owned(), RefOr::T(scheme));
     components.security_schemes.extend(schemes().map(named));
+    types::add(&mut document);
     for (path, item) in &mut document.paths.paths {
         for (method, operation) in operations(item) {
+            if path.starts_with("/v1/sessions/{session}") {
+                operation.parameters.get_or_insert_default().push(session_header().into());
+            }
+            let parameters = operation.parameters.iter_mut().flatten();
+            parameters.for_each(|parameter| types::add_to_parameter(path, parameter));
             let is_this = |call: &&Call| {
                 let rest = call.rest.split('?').next().unwrap_or_default();
                 rest.split_once(' ') == Some((method, path))
@@ -121,6 +131,19 @@ pub fn document() -> utoipa::openapi::OpenApi {
         }
     }
     document
+}
+
+/// The header that every call on a session may have. Its path names the session for the service.
+fn session_header() -> Parameter {
+    let description = "The session's id once more, by which a balancer before several nodes finds \
+                       the session's node";
+    ParameterBuilder::new()
+        .name(SESSION.as_str())
+        .parameter_in(ParameterIn::Header)
+        .required(Required::False)
+        .description(Some(description))
+        .schema(Some(ObjectBuilder::new().schema_type(Type::String)))
+        .build()
 }
 
 /// The operations of a path with their methods.

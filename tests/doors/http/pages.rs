@@ -5,7 +5,7 @@ use std::io::Read;
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode};
 use graphfix::formats::decompress;
-use serde_json::Value;
+use serde_json::{Value, json};
 use tower::ServiceExt;
 
 use crate::support::doors::{Doors, code};
@@ -90,6 +90,61 @@ async fn the_dashboard_comes_from_the_binary() {
     assert!(licences.contains("preact") && licences.contains("uplot"), "{licences}");
     let (status, refused) = doors.get("/assets/app-0.js").await;
     assert_eq!((status, code(&refused)), (StatusCode::NOT_FOUND, "ROUTE_NOT_FOUND"));
+}
+
+/// The names of what has a type: the values of an enumeration, or a time.
+fn choices(schema: &Value) -> Vec<&str> {
+    let values = schema["enum"].as_array().into_iter().flatten();
+    values.map(|value| value.as_str().unwrap()).collect()
+}
+
+/// Nothing that is a time or one of a few names is a mere text.
+#[test]
+fn the_schema_types_choices_and_times() {
+    let document = serde_json::to_value(graphfix::http::document()).unwrap();
+    let schemas = &document["components"]["schemas"];
+    let property = |schema: &str, name: &str| &schemas[schema]["properties"][name];
+    let statuses = ["NONE", "SINGLE", "FGO", "EKF", "FLOAT", "FIXED"];
+    assert_eq!(choices(property("Solution", "status")), statuses);
+    assert!(property("Solution", "status")["default"].is_null(), "an answer always has one");
+    let of_head = choices(property("SessionHead", "status"));
+    assert_eq!(of_head, [&statuses[..], &["UNSPECIFIED"]].concat());
+    let states = ["QUEUED", "RUNNING", "SUCCEEDED", "FAILED", "CANCELLED"];
+    assert_eq!(choices(property("Job", "state")), states);
+    let deliveries = ["WAITING", "DELIVERED", "FAILED", ""];
+    assert_eq!(choices(property("JobDeliveries", "state")), deliveries);
+    assert_eq!(property("Solution", "timeUtc")["format"], "date-time");
+    let expected = json!([{"format": "date-time"}, {"maxLength": 0}]);
+    assert_eq!(property("Job", "endedUtc")["anyOf"], expected);
+    assert_eq!(property("Job", "endedUtc")["type"], "string");
+
+    for (name, schema) in schemas.as_object().unwrap() {
+        for (property, schema) in schema["properties"].as_object().into_iter().flatten() {
+            let name = format!("{name}.{property}");
+            let is_text = schema["type"] == "string";
+            if property.ends_with("Utc") {
+                let is_time = |schema: &Value| schema["format"] == "date-time";
+                let may_be_empty = schema["anyOf"].as_array().is_some_and(|any| is_time(&any[0]));
+                assert!(is_time(schema) || may_be_empty, "{name}: {schema}");
+            } else if is_text && ["tatus", "tate"].iter().any(|end| property.ends_with(end)) {
+                assert!(!choices(schema).is_empty(), "{name}: {schema}");
+            }
+        }
+    }
+    for (path, methods) in document["paths"].as_object().unwrap() {
+        for (method, operation) in methods.as_object().unwrap() {
+            let parameters = operation["parameters"].as_array().into_iter().flatten();
+            let named = |name: &str| parameters.clone().find(|p| p["name"] == name);
+            for name in ["view", "order", "status", "state", "revisions"] {
+                let typed = named(name).is_none_or(|p| 1 < choices(&p["schema"]).len());
+                assert!(typed, "{method} {path}: {name}");
+            }
+            let is_on_session = path.starts_with("/v1/sessions/{session}");
+            let header = named("x-graphfix-session");
+            assert_eq!(header.is_some(), is_on_session, "{method} {path}");
+            assert!(header.is_none_or(|header| header["required"] == false));
+        }
+    }
 }
 
 /// Every path of the document is routed, and the document is the reviewed one.
