@@ -19,7 +19,7 @@ use crate::contract::{Lease, Refusal, in_background};
 use crate::refusal::Code;
 
 use super::status::to_status;
-use super::stream_body::{PREFIX_BYTES, StreamBody};
+use super::stream_body::{PREFIX_BYTES, StreamBody, TooLong};
 
 const ENCODING: &str = "grpc-encoding";
 const ACCEPTED_ENCODINGS: &str = "grpc-accept-encoding";
@@ -27,11 +27,9 @@ const TIMEOUT: &str = "grpc-timeout";
 /// The calls of these services have one message, except the streams.
 const SERVICES: [&str; 2] = ["/graphfix.v1.", "/google.longrunning."];
 /// Calls with a stream of messages.
-const STREAMS: [&str; 3] = [
-    "/graphfix.v1.Positioning/Stream",
-    "/graphfix.v1.Positioning/StreamRaw",
-    "/graphfix.v1.Jobs/Create",
-];
+const STREAMS: [&str; 3] =
+    ["/graphfix.v1.Positioning/Stream", "/graphfix.v1.Positioning/StreamRaw", CREATE_JOB];
+const CREATE_JOB: &str = "/graphfix.v1.Jobs/Create";
 const BLOCK_BYTES: usize = 64 << 10;
 /// Largest window of a Zstandard frame, as a power of two (bytes).
 const WINDOW_LOG_MAX: u32 = 23;
@@ -121,7 +119,11 @@ fn streamed_request(mut request: Request, limit: usize) -> Result<Request, Refus
         let message = "the messages of a stream are not packed: use the encoding identity";
         return Err(Refusal::new(Code::UnsupportedMediaType, message));
     }
-    Ok(request.map(|body| Body::new(StreamBody::new(body, limit))))
+    let too_long = match request.uri().path() {
+        CREATE_JOB => TooLong::Chunk,
+        _ => TooLong::Credit,
+    };
+    Ok(request.map(|body| Body::new(StreamBody::new(body, limit, too_long))))
 }
 
 /// The request with its message unpacked.

@@ -16,6 +16,15 @@ use super::status::to_status;
 /// A message begins with a flag and its length; gRPC over HTTP/2, Length-Prefixed-Message.
 pub(crate) const PREFIX_BYTES: usize = 5;
 
+/// How a message is refused that is too long.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum TooLong {
+    /// It exceeds any credit that a stream of a device can have.
+    Credit,
+    /// Its call has no credit: it has a chunk of a file.
+    Chunk,
+}
+
 /// The body of a stream.
 pub(super) struct StreamBody {
     body: Body,
@@ -29,6 +38,8 @@ pub(super) struct StreamBody {
 struct Prefixes {
     /// Longest message (bytes).
     limit: usize,
+    /// Code and field of the refusal of a longer one.
+    too_long: TooLong,
     prefix: [u8; PREFIX_BYTES],
     /// Bytes of the next prefix that have arrived.
     begun: usize,
@@ -38,8 +49,8 @@ struct Prefixes {
 
 impl StreamBody {
     /// The body of a stream with messages of at most `limit` bytes.
-    pub(super) fn new(body: Body, limit: usize) -> Self {
-        let prefixes = Prefixes { limit, prefix: [0; PREFIX_BYTES], begun: 0, rest: 0 };
+    pub(super) fn new(body: Body, limit: usize, too_long: TooLong) -> Self {
+        let prefixes = Prefixes { limit, too_long, prefix: [0; PREFIX_BYTES], begun: 0, rest: 0 };
         Self { body, lease: Lease::current(), prefixes, fault: None }
     }
 
@@ -92,7 +103,11 @@ impl Prefixes {
         if self.limit < length {
             let limit = self.limit;
             let message = format!("a message of {length} bytes, at most {limit} are taken");
-            return Err(Refusal::new(Code::CreditExceeded, message).at("credit.bytes"));
+            let (code, field) = match self.too_long {
+                TooLong::Credit => (Code::CreditExceeded, "credit.bytes"),
+                TooLong::Chunk => (Code::PieceTooLarge, "chunk"),
+            };
+            return Err(Refusal::new(code, message).at(field));
         }
         (self.begun, self.rest) = (0, length);
         Ok(())
@@ -142,7 +157,12 @@ mod tests {
     }
 
     fn taken(bytes: &[u8], chunk: usize) -> Result<(), Code> {
-        let mut prefixes = Prefixes { limit: 50, prefix: [0; PREFIX_BYTES], begun: 0, rest: 0 };
+        taken_by(TooLong::Credit, bytes, chunk)
+    }
+
+    fn taken_by(too_long: TooLong, bytes: &[u8], chunk: usize) -> Result<(), Code> {
+        let prefix = [0; PREFIX_BYTES];
+        let mut prefixes = Prefixes { limit: 50, too_long, prefix, begun: 0, rest: 0 };
         let mut chunks = bytes.chunks(chunk);
         chunks.try_for_each(|chunk| prefixes.take(chunk).1).map_err(|refusal| refusal.code)
     }
@@ -157,6 +177,7 @@ mod tests {
             assert_eq!(taken(&good, chunk), Ok(()));
             assert_eq!(taken(&long, chunk), Err(Code::CreditExceeded));
             assert_eq!(taken(&packed, chunk), Err(Code::UnsupportedMediaType));
+            assert_eq!(taken_by(TooLong::Chunk, &long, chunk), Err(Code::PieceTooLarge));
         }
     }
 }

@@ -259,6 +259,10 @@ async fn grpc_creates_the_same_job() {
     let early = vec![message(Content::Chunk(vec![1, 2, 3]))];
     let refused = client.create(stream::iter(early)).await.unwrap_err();
     assert!(refused.message().contains("bytes before the part"), "{refused}");
+    let mut long = file("rover", &[]);
+    long.push(message(Content::Chunk(vec![0; 600_000])));
+    let refused = client.create(stream::iter(long)).await.unwrap_err();
+    assert_eq!(graphfix::grpc::code_of(&refused).as_deref(), Some("PIECE_TOO_LARGE"), "{refused}");
     let without = vec![message(Content::Options(v1::JobOptions::default()))];
     let refused = client.create(stream::iter(without)).await.unwrap_err();
     assert_eq!(refused.code(), tonic::Code::InvalidArgument, "{refused}");

@@ -240,9 +240,10 @@ macro_rules! requests {
 
     // Raw bytes of a receiver.
 
-    /// The raw chunk is larger than allowed.
+    /// The raw chunk, or the chunk of a job's file on gRPC, is larger than allowed.
     PieceTooLarge = "PIECE_TOO_LARGE", TooLarge,
-        "send smaller chunks, or let the operator raise limits.raw_piece_bytes";
+        "send smaller chunks, or let the operator raise limits.raw_piece_bytes, for jobs \
+         limits.stream_bytes";
     /// Bytes are missing between the stored stream and the chunk.
     RawGap = "RAW_GAP", Precondition, "continue at rawThrough of the session";
     /// Other bytes are stored at the chunk's offset.
