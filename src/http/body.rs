@@ -17,6 +17,8 @@ use super::problem::Refused;
 
 /// Longer bodies are read on a blocking thread (bytes).
 const SHORT_BYTES: usize = 64 << 10;
+/// Content type of bodies that are messages.
+const JSON_TYPES: [&str; 1] = ["application/json"];
 /// Content types of bodies that are files or bytes of a receiver. A web page of another origin
 /// cannot send them without a CORS preflight, which the service does not grant.
 const RAW_TYPES: [&str; 3] = ["application/octet-stream", "application/gzip", "application/x-gzip"];
@@ -28,6 +30,10 @@ pub(super) struct BodyLimit(pub usize);
 /// A JSON body.
 #[derive(Clone, Debug)]
 pub(super) struct JsonBody<T>(pub T);
+
+/// A JSON body that may be empty.
+#[derive(Clone, Debug)]
+pub(super) struct OptionalJsonBody<T>(pub T);
 
 /// A body of bytes.
 #[derive(Clone, Debug)]
@@ -41,16 +47,27 @@ impl<S: Send + Sync, T: DeserializeOwned + Send + 'static> FromRequest<S> for Js
     type Rejection = Refused;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Refused> {
-        check_type(&request, &["application/json"])?;
+        check_type(&request, &JSON_TYPES)?;
+        Ok(Self(message(read(request).await?).await?))
+    }
+}
+
+impl<S, T> FromRequest<S> for OptionalJsonBody<T>
+where
+    S: Send + Sync,
+    T: DeserializeOwned + Default + Send + 'static,
+{
+    type Rejection = Refused;
+
+    async fn from_request(request: Request, _: &S) -> Result<Self, Refused> {
+        // Only what is not empty has a type.
+        let checked = check_type(&request, &JSON_TYPES);
         let bytes = read(request).await?;
-        if let Some(lease) = Lease::current() {
-            // The texts are copied; twice the length of the body bounds their memory.
-            extent_of(&bytes).reserve(2 * bytes.len(), &lease)?;
+        if bytes.is_empty() {
+            return Ok(Self(T::default()));
         }
-        if bytes.len() <= SHORT_BYTES {
-            return Ok(Self(json(&bytes)?));
-        }
-        Ok(Self(in_background(move || json(&bytes)).await??))
+        checked?;
+        Ok(Self(message(bytes).await?))
     }
 }
 
@@ -116,6 +133,18 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for StrictQuery<T>
         };
         query.map(|query| Self(query.0)).map_err(|error| refusal(error).into())
     }
+}
+
+/// Reads the message of a body, within the memory of its request.
+async fn message<T: DeserializeOwned + Send + 'static>(bytes: Bytes) -> Result<T, Refusal> {
+    if let Some(lease) = Lease::current() {
+        // The texts are copied; twice the length of the body bounds their memory.
+        extent_of(&bytes).reserve(2 * bytes.len(), &lease)?;
+    }
+    if bytes.len() <= SHORT_BYTES {
+        return json(&bytes);
+    }
+    in_background(move || json(&bytes)).await?
 }
 
 /// Reads JSON.

@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
-use super::body::JsonBody;
+use super::body::{JsonBody, OptionalJsonBody};
 use super::problem::Refused;
 use super::sessions::{self, named};
 
@@ -41,7 +41,10 @@ pub(super) async fn act(caller: Caller, Path(target): Path<String>, request: Req
             Ok(body) => solve(caller, session, body).await.into_response(),
             Err(refused) => refused.into_response(),
         },
-        Some((session, "reset")) => sessions::reset(caller, session).await.into_response(),
+        Some((session, "reset")) => match OptionalJsonBody::from_request(request, &()).await {
+            Ok(body) => sessions::reset(caller, session, body).await.into_response(),
+            Err(refused) => refused.into_response(),
+        },
         _ => {
             let message = format!("POST /v1/sessions/{target} is not a call");
             Refused(Refusal::new(Code::RouteNotFound, message)).into_response()

@@ -9,7 +9,7 @@ use utoipa::IntoParams;
 use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
-use super::body::{JsonBody, StrictQuery};
+use super::body::{JsonBody, OptionalJsonBody, StrictQuery};
 use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, location};
 use super::lists::{area, order, view};
 use super::problem::Refused;
@@ -183,9 +183,16 @@ pub(super) async fn update(
 #[utoipa::path(post, operation_id = "sessionsReset",
     path = "/v1/sessions/{session}:reset", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
+    // By its name: that of a type is required, and that of an optional one may be `null`.
+    request_body(content = ref("#/components/schemas/ResetSessionRequest"),
+        content_type = "application/json", description = "May be empty"),
     responses((status = 200, description = "The session", body = v1::Session), Refused))]
-pub(super) async fn reset(caller: Caller, session: String) -> Result<Json<v1::Session>, Refused> {
-    let request = v1::ResetSessionRequest { session };
+pub(super) async fn reset(
+    caller: Caller,
+    session: String,
+    OptionalJsonBody(request): OptionalJsonBody<v1::ResetSessionRequest>,
+) -> Result<Json<v1::Session>, Refused> {
+    let request = v1::ResetSessionRequest { session: named(session, &request.session)? };
     Ok(Json(calls::sessions::reset(&caller, request).await?))
 }
 

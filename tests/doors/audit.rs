@@ -107,7 +107,7 @@ async fn done(doors: &Doors, key: &Key, act: &str) -> String {
         }
         "Sessions.Reset" => {
             let id = new_session().await;
-            ok(doors, key, "POST", &format!("/v1/sessions/{id}:reset"), Value::Null).await;
+            ok(doors, key, "POST", &format!("/v1/sessions/{id}:reset"), json!({})).await;
             id
         }
         "Sessions.Close" => {
@@ -241,7 +241,7 @@ async fn an_act_without_an_entry_is_not_done(database: Database) {
         ("DELETE", format!("/v1/bases/{kept}"), Value::Null),
         ("DELETE", format!("/v1/sessions/{closed}?purge=true"), Value::Null),
         ("PATCH", path.clone(), json!({"label": "boat"})),
-        ("POST", format!("{path}:reset"), Value::Null),
+        ("POST", format!("{path}:reset"), json!({})),
     ];
     let ended = job(&doors, &operator).await;
     ok(&doors, &operator, "DELETE", &format!("/v1/jobs/{ended}"), Value::Null).await;
@@ -339,9 +339,9 @@ async fn refused_calls_leave_entries(database: Database) {
     }
     // What a device does to a session is not an administrative act, nor is an attempt at it.
     for key in [&device, &reader, &wrong] {
-        asked(&doors, key, "POST", &reset, Value::Null).await;
+        asked(&doors, key, "POST", &reset, json!({})).await;
     }
-    asked(&doors, &device, "POST", "/v1/sessions/ses_1:reset", Value::Null).await;
+    asked(&doors, &device, "POST", "/v1/sessions/ses_1:reset", json!({})).await;
     let (status, _) = doors.post("/v1/keys", new.clone()).await;
     assert_eq!(status, StatusCode::UNAUTHORIZED);
     expected.insert(0, ["default", "unknown", "Keys.Create", "", "KEY_REQUIRED"]);

@@ -48,6 +48,7 @@ mod simulation;
 mod storage;
 mod store;
 mod streams;
+mod strict;
 mod tenants;
 mod tls;
 mod traces;

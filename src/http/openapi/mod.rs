@@ -11,6 +11,7 @@ use utoipa::openapi::security::{
 use utoipa::openapi::{RefOr, Required};
 
 use crate::contract::access::{CALLS, Call, Need};
+use crate::contract::v1;
 
 use super::forwarding::SESSION;
 use super::problem::Problem;
@@ -26,7 +27,7 @@ const CSRF_TOKEN: &str = "csrfToken";
 
 #[derive(OpenApi)]
 #[openapi(
-    components(schemas(Problem)),
+    components(schemas(Problem, v1::ResetSessionRequest)),
     info(
         title = "Graphfix",
         description = "GNSS positioning: raw observations in, stored positions out. Every call has \

@@ -155,7 +155,7 @@ fn sessions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
             requests
         }
         "Sessions/Reset" => {
-            both!(call, v1::ResetSessionRequest, format!("{path}:reset"), named, none)
+            both!(call, v1::ResetSessionRequest, format!("{path}:reset"), named, json!({}))
         }
         "Sessions/Close" => both!(call, v1::CloseSessionRequest, path, named, none),
         "Sessions/Observations" => {

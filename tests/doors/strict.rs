@@ -1,0 +1,45 @@
+//! What does not fit a call is refused, and the refusal names it.
+
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+use serde_json::{Value, json};
+
+use crate::support::doors::{Doors, code};
+
+/// Code and field of a refusal; the field is empty if it names none.
+fn at_fault(refusal: &Value) -> (&str, &str) {
+    (code(refusal), refusal["field"].as_str().unwrap_or_default())
+}
+
+/// A reset needs no body. What it is given is checked as the body of every other call.
+#[tokio::test]
+async fn a_reset_takes_its_own_message_or_nothing() {
+    let doors = Doors::open().await;
+    let session = doors.session().await;
+    let path = format!("/v1/sessions/{session}:reset");
+    let ask = async |kind: Option<&str>, body: String| {
+        let request = Request::post(&path);
+        let request = kind.into_iter().fold(request, |r, kind| r.header("content-type", kind));
+        doors.ask(request.body(Body::from(body)).unwrap()).await
+    };
+    let own = json!({"session": session}).to_string();
+    for (kind, body) in [
+        (None, String::new()),
+        (Some("text/plain"), String::new()),
+        (Some("application/json"), "{}".to_owned()),
+        (Some("application/json"), own),
+    ] {
+        let (status, answer) = ask(kind, body.clone()).await;
+        assert_eq!((status, &answer["session"]), (StatusCode::OK, &json!(session)), "{body}");
+    }
+    for (kind, body, expected) in [
+        (Some("text/plain"), "{}", ("UNSUPPORTED_MEDIA_TYPE", "")),
+        (None, "{}", ("UNSUPPORTED_MEDIA_TYPE", "")),
+        (Some("application/json"), r#"{"hard":true}"#, ("UNKNOWN_FIELD", "hard")),
+        (Some("application/json"), r#"{"session":"ses_1"}"#, ("INVALID_FIELD", "session")),
+        (Some("application/json"), "{", ("MALFORMED_BODY", "")),
+    ] {
+        let (_, refusal) = ask(kind, body.to_owned()).await;
+        assert_eq!(at_fault(&refusal), expected, "{body}: {refusal}");
+    }
+}
