@@ -84,7 +84,9 @@ pub(crate) fn time_text(text: &str) -> Result<GpsTime, Refusal> {
     let parse = || {
         let (week, seconds) = text.split_once(':')?;
         let (week, seconds) = (week.parse().ok()?, seconds.parse::<f64>().ok()?);
-        GpsTime::from_week_ns(week, (seconds * 1e9).round() as i64)
+        // As an integer NaN would be 0.
+        let ns = (!seconds.is_nan()).then(|| (seconds * 1e9).round() as i64)?;
+        GpsTime::from_week_ns(week, ns)
     };
     parse().ok_or_else(|| {
         let message = format!("{:?} is not WEEK:SECONDS such as 2051:46701.5", brief(text));

@@ -43,3 +43,24 @@ async fn a_reset_takes_its_own_message_or_nothing() {
         assert_eq!(at_fault(&refusal), expected, "{body}: {refusal}");
     }
 }
+
+/// What Rust reads as a number and is none does not pass as the beginning of a week.
+#[tokio::test]
+async fn a_time_in_a_query_is_finite() {
+    let doors = Doors::open().await;
+    let path = format!("/v1/sessions/{}", doors.session().await);
+    for list in
+        [format!("{path}/solutions"), format!("{path}/track.csv"), "/v1/history/fleet".to_owned()]
+    {
+        for text in ["nan", "NaN", "-nan", "inf", "-inf", "infinity", "1e300"] {
+            let (_, refusal) = doors.get(&format!("{list}?from=2399:{text}")).await;
+            assert_eq!(at_fault(&refusal), ("INVALID_TIME", "from"), "{list} {text}: {refusal}");
+        }
+    }
+    let (_, refusal) = doors.upload(&format!("{path}/raw?near=2399:nan"), vec![0]).await;
+    assert_eq!(at_fault(&refusal), ("INVALID_TIME", "near"), "{refusal}");
+    for text in ["nan,8,47,9", "46,8,inf,9"] {
+        let (status, refusal) = doors.get(&format!("/v1/sessions:heads?area={text}")).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{text}: {refusal}");
+    }
+}
