@@ -13,6 +13,7 @@ use crate::contract::{Lease, Refusal, in_background};
 use crate::refusal::Code;
 
 use super::json_extent::extent_of;
+use super::objects::Objects;
 use super::problem::Refused;
 
 /// Longer bodies are read on a blocking thread (bytes).
@@ -153,7 +154,7 @@ async fn message<T: DeserializeOwned + Send + 'static>(bytes: Bytes) -> Result<T
 /// The body is not JSON (with the byte at fault) or not of the schema (with the field).
 pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
     let mut reader = serde_json::Deserializer::from_slice(bytes);
-    let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+    let value = serde_path_to_error::deserialize(Objects(&mut reader)).map_err(|error| {
         let path = error.path().to_string();
         let inner = error.into_inner();
         match inner.classify() {

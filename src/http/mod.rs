@@ -24,6 +24,7 @@ mod lists;
 mod metered;
 mod multipart;
 mod navigation;
+mod objects;
 mod observations;
 mod openapi;
 mod pages;

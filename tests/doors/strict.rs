@@ -4,11 +4,18 @@ use axum::body::Body;
 use axum::http::{Request, StatusCode};
 use serde_json::{Value, json};
 
-use crate::support::doors::{Doors, code};
+use super::jobs;
+use crate::support::doors::{Doors, code, epoch};
+use crate::support::jobs::body;
 
 /// Code and field of a refusal; the field is empty if it names none.
 fn at_fault(refusal: &Value) -> (&str, &str) {
     (code(refusal), refusal["field"].as_str().unwrap_or_default())
+}
+
+/// The answer to a job with these options.
+async fn job_with(doors: &Doors, options: &str) -> (StatusCode, Value) {
+    jobs::post(doors, body(&[("options", options.as_bytes())]), &[]).await
 }
 
 /// A reset needs no body. What it is given is checked as the body of every other call.
@@ -63,4 +70,34 @@ async fn a_time_in_a_query_is_finite() {
         let (status, refusal) = doors.get(&format!("/v1/sessions:heads?area={text}")).await;
         assert_eq!(status, StatusCode::BAD_REQUEST, "{text}: {refusal}");
     }
+}
+
+/// A list is not a message whose fields have no names, at whatever depth.
+#[tokio::test]
+async fn a_message_is_an_object() {
+    let doors = Doors::open().await;
+    let epochs = format!("/v1/sessions/{}/epochs", doors.session().await);
+    let listed = |observation: Value| {
+        let mut epoch = epoch(1);
+        epoch["observations"] = json!([observation]);
+        json!({"epochs": [epoch]})
+    };
+    let mut timed = epoch(1);
+    timed["time"] = json!([2051, 46_701_000_000_000_u64]);
+    for (path, body, field) in [
+        ("/v1/sessions", json!(["lbl"]), ""),
+        ("/v1/sessions", json!([]), ""),
+        ("/v1/sessions", json!({"overrides": ["none"]}), "overrides"),
+        ("/v1/bases", json!({"marker": [4_033_460.75, 23_538.02, 4_924_318.39]}), "marker"),
+        (&epochs, json!([[epoch(1)]]), ""),
+        (&epochs, json!({"epochs": [timed]}), "epochs[0].time"),
+        (&epochs, listed(json!(["G05", "1C", 2.2e7])), "epochs[0].observations[0]"),
+    ] {
+        let (status, refusal) = doors.post(path, body.clone()).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{body}");
+        assert_eq!(at_fault(&refusal), ("INVALID_FIELD", field), "{body}: {refusal}");
+    }
+    let (_, refusal) = job_with(&doors, r#"["spp"]"#).await;
+    assert_eq!(at_fault(&refusal), ("INVALID_FIELD", "options"), "{refusal}");
+    assert_eq!(doors.get("/v1/sessions").await.1["sessions"].as_array().unwrap().len(), 1);
 }
