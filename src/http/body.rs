@@ -1,7 +1,11 @@
 //! Reads bodies, path segments and queries strictly: an unknown field is refused by name.
 
+use std::error::Error;
+use std::iter::successors;
+
 use axum::body::{Bytes, HttpBody};
-use axum::extract::{FromRequest, FromRequestParts, Request};
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{FromRequest, FromRequestParts, Query, Request};
 use axum::http::header;
 use axum::http::request::Parts;
 use bytes::BytesMut;
@@ -18,11 +22,16 @@ use super::problem::Refused;
 
 /// Longer bodies are read on a blocking thread (bytes).
 const SHORT_BYTES: usize = 64 << 10;
+/// Path of a message that is not inside another one, as `serde_path_to_error` writes it.
+const WHOLE: &str = ".";
 /// Content type of bodies that are messages.
 const JSON_TYPES: [&str; 1] = ["application/json"];
 /// Content types of bodies that are files or bytes of a receiver. A web page of another origin
 /// cannot send them without a CORS preflight, which the service does not grant.
 const RAW_TYPES: [&str; 3] = ["application/octet-stream", "application/gzip", "application/x-gzip"];
+
+/// What is wrong with a query, with its parameter.
+type QueryFault = serde_path_to_error::Error<serde::de::value::Error>;
 
 /// Largest body of a route (bytes), after decompression in transit.
 #[derive(Clone, Copy, Debug)]
@@ -126,13 +135,18 @@ impl<S: Send + Sync, T: DeserializeOwned> FromRequestParts<S> for StrictQuery<T>
     type Rejection = Refused;
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Refused> {
-        let query = axum::extract::Query::<T>::try_from_uri(&parts.uri);
-        let refusal = |error: axum::extract::rejection::QueryRejection| {
-            let message = error.body_text();
-            let message = message.trim_start_matches("Failed to deserialize query string: ");
-            unfit(message.to_owned(), "")
-        };
-        query.map(|query| Self(query.0)).map_err(|error| refusal(error).into())
+        let query = Query::try_from_uri(&parts.uri);
+        query.map(|Query(query)| Self(query)).map_err(|rejection| of_query(&rejection).into())
+    }
+}
+
+/// The refusal of a query, with the parameter at fault.
+fn of_query(rejection: &QueryRejection) -> Refusal {
+    let causes = successors(Some(rejection as &dyn Error), |error| (**error).source());
+    let mut faults = causes.filter_map(|cause| cause.downcast_ref::<QueryFault>());
+    match faults.next() {
+        Some(fault) => unfit(fault.inner().to_string(), &fault.path().to_string()),
+        None => Refusal::new(Code::InvalidField, rejection.body_text()),
     }
 }
 
@@ -166,13 +180,21 @@ pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
     Ok(value)
 }
 
-/// The refusal of a body or query that does not match the schema.
+/// The refusal of a body or query that does not match the schema. It names no field if it does
+/// not match as a whole.
 fn unfit(message: String, path: &str) -> Refusal {
-    let unknown = message.contains("unknown field");
-    let code = if unknown { Code::UnknownField } else { Code::InvalidField };
-    let named = message.split('`').nth(1).filter(|_| unknown && path.is_empty());
-    let field = named.map_or_else(|| path.to_owned(), ToOwned::to_owned);
-    Refusal::new(code, message).at(field)
+    let is_unknown = message.starts_with("unknown field");
+    let code = if is_unknown { Code::UnknownField } else { Code::InvalidField };
+    let path = if path == WHOLE { "" } else { path };
+    // The path ends at the message in which a field is repeated.
+    let repeated = message.strip_prefix("duplicate field `").and_then(|rest| rest.split_once('`'));
+    let field = match repeated {
+        Some((name, _)) if path.is_empty() => name.to_owned(),
+        Some((name, _)) => format!("{path}.{name}"),
+        None => path.to_owned(),
+    };
+    let refusal = Refusal::new(code, message);
+    if field.is_empty() { refusal } else { refusal.at(field) }
 }
 
 fn not_json(bytes: &[u8], error: &serde_json::Error) -> Refusal {

@@ -101,3 +101,59 @@ async fn a_message_is_an_object() {
     assert_eq!(at_fault(&refusal), ("INVALID_FIELD", "options"), "{refusal}");
     assert_eq!(doors.get("/v1/sessions").await.1["sessions"].as_array().unwrap().len(), 1);
 }
+
+#[tokio::test]
+async fn a_malformed_parameter_is_named() {
+    let doors = Doors::open().await;
+    let session = format!("/v1/sessions/{}", doors.session().await);
+    for (method, path, parameter) in [
+        ("GET", "/v1/sessions?closed=maybe".to_owned(), "closed"),
+        ("GET", "/v1/sessions?pageSize=x".to_owned(), "pageSize"),
+        ("GET", "/v1/sessions?label=a&pageSize=-1".to_owned(), "pageSize"),
+        ("GET", "/v1/sessions?label=a&label=b".to_owned(), "label"),
+        ("GET", "/v1/jobs?pageSize=1&pageSize=1".to_owned(), "pageSize"),
+        ("GET", "/v1/audit?refused=".to_owned(), "refused"),
+        ("DELETE", format!("{session}?purge=maybe"), "purge"),
+        ("DELETE", "/v1/jobs/job_1?purge=maybe".to_owned(), "purge"),
+        ("GET", format!("{session}/solutions:series?points=1.5"), "points"),
+    ] {
+        let (status, refusal) = doors.send(method, &path, json!({})).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{path}");
+        assert_eq!(at_fault(&refusal), ("INVALID_FIELD", parameter), "{path}: {refusal}");
+    }
+    let (_, refusal) = doors.upload(&format!("{session}/raw?offset=abc"), vec![0]).await;
+    assert_eq!(at_fault(&refusal), ("INVALID_FIELD", "offset"), "{refusal}");
+    let (_, refusal) = doors.get("/v1/sessions?pagesize=1").await;
+    assert_eq!(at_fault(&refusal), ("UNKNOWN_FIELD", "pagesize"), "{refusal}");
+    assert!(refusal["detail"].as_str().unwrap().contains("pageSize"), "{refusal}");
+}
+
+#[tokio::test]
+async fn a_field_that_is_repeated_or_no_message_is_named() {
+    let doors = Doors::open().await;
+    let ask = async |path: &str, body: &str| {
+        let request = Request::post(path).header("content-type", "application/json");
+        doors.ask(request.body(Body::from(body.to_owned())).unwrap()).await.1
+    };
+    for (path, body, field) in [
+        ("/v1/sessions", "null", ""),
+        ("/v1/sessions", "7", ""),
+        ("/v1/sessions", r#"{"label":"a","label":"b"}"#, "label"),
+        ("/v1/sessions", r#"{"label":"unknown field","mode":7}"#, "mode"),
+        ("/v1/solve", r#"{"epochs":[null]}"#, "epochs[0]"),
+        ("/v1/solve", r#"{"epochs":[{"seq":1},{"seq":1,"seq":2}]}"#, "epochs[1].seq"),
+    ] {
+        let refusal = ask(path, body).await;
+        assert_eq!(at_fault(&refusal), ("INVALID_FIELD", field), "{body}: {refusal}");
+        assert_eq!(refusal.get("field").is_some(), !field.is_empty(), "{refusal}");
+    }
+    for (options, expected) in [
+        ("null", ("INVALID_FIELD", "options")),
+        (r#"{"mode":"spp","mode":"fgo"}"#, ("INVALID_FIELD", "options.mode")),
+        (r#"{"webhook":{"url":"a","url":"b"}}"#, ("INVALID_FIELD", "options.webhook.url")),
+        (r#"{"node":"spp"}"#, ("UNKNOWN_FIELD", "options.node")),
+    ] {
+        let (_, refusal) = job_with(&doors, options).await;
+        assert_eq!(at_fault(&refusal), expected, "{options}: {refusal}");
+    }
+}
