@@ -26,7 +26,7 @@ use super::forwarding::{self, Mark, Peers, Route};
 use super::jobs;
 use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
-use super::{sign_in, traced, uploads};
+use super::{head, sign_in, traced, uploads};
 
 /// Header with the name of the node that answers, on both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
@@ -165,6 +165,9 @@ fn checked(
         let tenant = pass.tenant().name();
         let message = format!("pages of {origin} may not call for the tenant {tenant:?}");
         return Err(Refusal::new(Code::OriginRefused, message));
+    }
+    if !is_grpc(request.headers()) {
+        head::check(call, request)?;
     }
     Ok((call, pass))
 }

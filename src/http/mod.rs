@@ -14,6 +14,7 @@ mod download;
 mod error_page;
 mod forwarding;
 mod handshake;
+mod head;
 mod head_events;
 mod history;
 mod job_events;

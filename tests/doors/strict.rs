@@ -157,3 +157,53 @@ async fn a_field_that_is_repeated_or_no_message_is_named() {
         assert_eq!(at_fault(&refusal), expected, "{options}: {refusal}");
     }
 }
+
+/// Calls without parameters refuse any, before they do anything.
+#[tokio::test]
+async fn a_call_without_parameters_takes_none() {
+    let doors = Doors::open().await;
+    let id = doors.session().await;
+    let session = format!("/v1/sessions/{id}");
+    for (method, path) in [
+        ("GET", session.clone()),
+        ("PATCH", session.clone()),
+        ("POST", format!("{session}/epochs")),
+        ("POST", format!("{session}:reset")),
+        ("POST", format!("{session}:solve")),
+        ("GET", format!("{session}/epochs/last")),
+        ("POST", "/v1/sessions".to_owned()),
+        ("POST", "/v1/solve".to_owned()),
+        ("GET", "/v1/navigation".to_owned()),
+        ("POST", "/v1/navigation".to_owned()),
+        ("POST", "/v1/bases".to_owned()),
+        ("DELETE", "/v1/bases/bas_1".to_owned()),
+        ("POST", "/v1/jobs".to_owned()),
+        ("GET", "/v1/jobs/job_1".to_owned()),
+        ("GET", "/v1/jobs/job_1/result".to_owned()),
+        ("GET", "/v1/jobs/job_1/report".to_owned()),
+        ("GET", "/v1/jobs/job_1/events".to_owned()),
+        ("GET", "/v1/jobs/job_1/deliveries".to_owned()),
+        ("POST", "/v1/keys".to_owned()),
+        ("GET", "/v1/tenants/default".to_owned()),
+        ("GET", "/v1/sign-in".to_owned()),
+    ] {
+        let (status, refusal) = doors.send(method, &format!("{path}?foo=1&b"), json!({})).await;
+        assert_eq!(status, StatusCode::BAD_REQUEST, "{method} {path}");
+        assert_eq!(at_fault(&refusal), ("UNKNOWN_FIELD", "foo"), "{method} {path}: {refusal}");
+    }
+    // Parameters of calls, empty queries, and pages, which have no schema.
+    for path in [
+        format!("{session}?"),
+        format!("{session}/track.csv?status=NONE"),
+        format!("{session}/solutions:series?points=10"),
+        "/healthz?x=1".to_owned(),
+        "/?x=1".to_owned(),
+    ] {
+        assert_eq!(doors.get(&path).await.0, StatusCode::OK, "{path}");
+    }
+    let head = Request::head(format!("{session}?foo=1")).body(Body::empty()).unwrap();
+    assert_eq!(doors.ask(head).await.0, StatusCode::BAD_REQUEST);
+    let (_, refusal) = doors.get(&format!("{session}/track.csv?foo=1")).await;
+    assert_eq!(at_fault(&refusal), ("UNKNOWN_FIELD", "foo"), "{refusal}");
+    assert_eq!(doors.get("/v1/sessions").await.1["sessions"].as_array().unwrap().len(), 1);
+}

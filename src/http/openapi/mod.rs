@@ -2,7 +2,10 @@
 
 mod types;
 
+use std::collections::BTreeSet;
+
 use utoipa::OpenApi;
+use utoipa::openapi::RefOr;
 use utoipa::openapi::path::{Operation, Parameter, ParameterBuilder, ParameterIn, PathItem};
 use utoipa::openapi::schema::{ObjectBuilder, Type};
 use utoipa::openapi::security::{
@@ -145,6 +148,29 @@ fn session_header() -> Parameter {
         .description(Some(description))
         .schema(Some(ObjectBuilder::new().schema_type(Type::String)))
         .build()
+}
+
+/// Methods and paths, as the table of calls has them, of the calls whose query has no parameters.
+pub(super) fn without_query() -> BTreeSet<&'static str> {
+    let mut paths = Rest::openapi().paths.paths;
+    let mut known = BTreeSet::new();
+    for (path, item) in &mut paths {
+        for (method, operation) in operations(item) {
+            if !has_query(operation) {
+                let is_this = |call: &&Call| call.rest.split_once(' ') == Some((method, path));
+                known.extend(CALLS.iter().filter(is_this).map(|call| call.rest));
+            }
+        }
+    }
+    known
+}
+
+fn has_query(operation: &Operation) -> bool {
+    let is_of_query = |parameter: &RefOr<Parameter>| match parameter {
+        RefOr::T(parameter) => parameter.parameter_in == ParameterIn::Query,
+        RefOr::Ref(_) => true,
+    };
+    operation.parameters.iter().flatten().any(is_of_query)
 }
 
 /// The operations of a path with their methods.
