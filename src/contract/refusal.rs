@@ -54,12 +54,15 @@ impl Refusal {
         }
     }
 
-    /// The refusal that ended a body, found among the causes of `error`; `MALFORMED_BODY` if the
-    /// body ended for another reason.
+    /// The refusal that ended a body, found among the causes of `error`; `MALFORMED_BODY` if there
+    /// is none, as then the body is not packed as its head says.
     pub(crate) fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let causes = std::iter::successors(Some(error), |error| error.source());
         let refusal = causes.filter_map(|cause| cause.downcast_ref::<Self>()).next();
-        refusal.cloned().unwrap_or_else(|| Self::new(Code::MalformedBody, error.to_string()))
+        refusal.cloned().unwrap_or_else(|| {
+            let message = format!("the body cannot be unpacked: {error}");
+            Self::new(Code::MalformedBody, message).at("Content-Encoding")
+        })
     }
 
     /// The refusal with the field at fault.

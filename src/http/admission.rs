@@ -205,9 +205,14 @@ fn credential(request: &Request) -> Credential<'_> {
     Credential::Cookie(cookie, token)
 }
 
-/// A refusal as the addressed door sends it, with the methods that the path takes.
+/// A refusal as the addressed door sends it, with the methods that the path takes, or the encodings
+/// of bodies.
 fn refused(refusal: Refusal, target: &Target, is_grpc: bool) -> Response {
+    let is_packed = refusal.code == Code::UnsupportedMediaType;
     let mut response = answer(refusal, is_grpc);
+    if is_packed {
+        response.headers_mut().insert(header::ACCEPT_ENCODING, head::ENCODINGS);
+    }
     if let Target::OtherMethod(methods) = target
         && let Ok(methods) = HeaderValue::from_str(&methods.join(", "))
     {

@@ -1,12 +1,17 @@
 //! What does not fit a call is refused, and the refusal names it.
 
+use std::io::Write;
+
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use serde_json::{Value, json};
+use tower::ServiceExt;
 
 use super::jobs;
 use crate::support::doors::{Doors, code, epoch};
-use crate::support::jobs::body;
+use crate::support::jobs::{BOUNDARY, body};
 
 /// Code and field of a refusal; the field is empty if it names none.
 fn at_fault(refusal: &Value) -> (&str, &str) {
@@ -206,4 +211,47 @@ async fn a_call_without_parameters_takes_none() {
     let (_, refusal) = doors.get(&format!("{session}/track.csv?foo=1")).await;
     assert_eq!(at_fault(&refusal), ("UNKNOWN_FIELD", "foo"), "{refusal}");
     assert_eq!(doors.get("/v1/sessions").await.1["sessions"].as_array().unwrap().len(), 1);
+}
+
+/// A body that is packed in another way, or not as its head says, is refused as any other.
+#[tokio::test]
+async fn an_encoding_that_is_unknown_or_untrue_is_named() {
+    let doors = Doors::open().await;
+    let ask = async |path: &str, kind: &str, encoding: &str, body: &[u8]| {
+        let request = Request::post(path).header("content-type", kind);
+        let request = request.header("content-encoding", encoding);
+        let request = request.body(Body::from(body.to_vec())).unwrap();
+        let response = doors.router.clone().oneshot(request).await.unwrap();
+        let accepted = response.headers().get("accept-encoding").cloned();
+        let body = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
+        (accepted, serde_json::from_slice::<Value>(&body).unwrap())
+    };
+    let raw = format!("/v1/sessions/{}/raw", doors.session().await);
+    let (json, octets) = ("application/json", "application/octet-stream");
+    for (path, kind) in [("/v1/sessions", json), (&raw, octets), ("/v1/jobs", "multipart/x")] {
+        for encoding in ["br", "deflate", "zstd", "gzip, gzip"] {
+            let (accepted, refusal) = ask(path, kind, encoding, b"{}").await;
+            let expected = ("UNSUPPORTED_MEDIA_TYPE", "Content-Encoding");
+            assert_eq!(at_fault(&refusal), expected, "{path} {encoding}: {refusal}");
+            assert_eq!(accepted.unwrap(), "gzip, identity");
+            assert!(refusal["detail"].as_str().unwrap().contains("gzip"), "{refusal}");
+        }
+    }
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(b"{\"label\":\"packed\"}").unwrap();
+    let packed = packed.finish().unwrap();
+    assert_eq!(ask("/v1/sessions", json, "gzip", &packed).await.1["label"], "packed");
+    let cut = &packed[..packed.len() - 12];
+    let whole = body(&[("rover", b"")]);
+    let parts = format!("multipart/form-data; boundary={BOUNDARY}");
+    for (path, kind, body) in [
+        ("/v1/sessions", json, &b"{}"[..]),
+        ("/v1/sessions", json, cut),
+        (&raw, octets, cut),
+        ("/v1/jobs", &parts, &whole),
+    ] {
+        let (_, refusal) = ask(path, kind, "gzip", body).await;
+        let expected = ("MALFORMED_BODY", "Content-Encoding");
+        assert_eq!(at_fault(&refusal), expected, "{path}: {refusal}");
+    }
 }

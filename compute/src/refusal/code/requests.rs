@@ -14,9 +14,9 @@ macro_rules! requests {
         "remove the field or correct its name; the message lists the known fields";
     /// A field is missing, of the wrong type, or out of range.
     InvalidField = "INVALID_FIELD", Malformed, "correct the named field";
-    /// The call does not take a body of this content type.
+    /// The call does not take a body of this content type or encoding.
     UnsupportedMediaType = "UNSUPPORTED_MEDIA_TYPE", MediaType,
-        "send the content type that the message names";
+        "send the content type or encoding that the message names";
     /// The body or message exceeds its limit.
     BodyTooLarge = "BODY_TOO_LARGE", TooLarge,
         "split the request, or let the operator raise limits.body_bytes";
