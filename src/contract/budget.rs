@@ -82,7 +82,15 @@ impl Budget {
     /// # Errors
     /// The budget is exhausted.
     pub(crate) fn lease(&self, pass: Option<Pass>) -> Result<Lease, Refusal> {
-        let lease = Lease(Arc::new(Leased {
+        let lease = self.empty_lease(pass);
+        lease.reserve(REQUEST_BYTES)?;
+        Ok(lease)
+    }
+
+    /// The lease of a request that uses no memory, as it is refused. The answer and the log have
+    /// its id.
+    pub(crate) fn empty_lease(&self, pass: Option<Pass>) -> Lease {
+        Lease(Arc::new(Leased {
             budget: self.clone(),
             reserved: AtomicUsize::new(0),
             arrived: AtomicUsize::new(0),
@@ -92,9 +100,7 @@ impl Budget {
             pass,
             trace: OnceLock::new(),
             session: OnceLock::new(),
-        }));
-        lease.reserve(REQUEST_BYTES)?;
-        Ok(lease)
+        }))
     }
 
     /// Bytes of all bodies that have arrived, before any unpacking.
@@ -127,6 +133,11 @@ impl Lease {
     /// Runs `work` with this as [`Lease::current`].
     pub(crate) async fn scope<F: Future>(self, work: F) -> F::Output {
         CURRENT.scope(self, work).await
+    }
+
+    /// The same for work that does not wait.
+    pub(crate) fn during<T>(&self, work: impl FnOnce() -> T) -> T {
+        CURRENT.sync_scope(self.clone(), work)
     }
 
     /// The id of the request.

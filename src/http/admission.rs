@@ -79,24 +79,34 @@ pub(super) async fn admit(
             let span = traced::begun(&service, &target, &request, &lease, begun);
             let mut response = lease.clone().scope(next.run(request)).await;
             traced::ended(span, &response, outcome(&response));
-            let id = lease.request_id();
-            tracing::debug!(request = %id, status = %response.status(), "answered");
-            let mut text = [0; Hyphenated::LENGTH];
-            if let Ok(mut id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
-                // Not entered into the connection's table of headers (RFC 7541, section 7.1.3):
-                // each occurs once.
-                id.set_sensitive(true);
-                response.headers_mut().insert(REQUEST_ID, id);
-            }
+            identify(&mut response, &lease);
             response.map(|body| Keeping::body(body, lease))
         }
-        Err(refusal) => refused(refusal, &target, is_grpc),
+        Err(refusal) => {
+            let lease = service.budget().empty_lease(None);
+            let mut response = lease.during(|| refused(refusal, &target, is_grpc));
+            identify(&mut response, &lease);
+            response
+        }
     };
     service.meters().count(is_grpc, outcome(&response), begun.elapsed());
     if let Ok(node) = HeaderValue::from_str(service.node()) {
         response.headers_mut().insert(NODE, node);
     }
     if is_grpc { response } else { with_security_headers(response, is_named) }
+}
+
+/// Gives an answer the id of its request, which the log has, too.
+fn identify(response: &mut Response, lease: &Lease) {
+    let id = lease.request_id();
+    tracing::debug!(request = %id, status = %response.status(), "answered");
+    let mut text = [0; Hyphenated::LENGTH];
+    if let Ok(mut id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
+        // Not entered into the connection's table of headers (RFC 7541, section 7.1.3): each
+        // occurs once.
+        id.set_sensitive(true);
+        response.headers_mut().insert(REQUEST_ID, id);
+    }
 }
 
 /// Whether a request came with TLS and names the service by a name of its own: browsers may then

@@ -10,6 +10,7 @@ use graphfix::grpc::grpc_code;
 use graphfix::http::http_status;
 use graphfix::refusal::{Class, Code};
 use serde_json::{Value, json};
+use tower::ServiceExt;
 
 use crate::doors::http::navigation::navigation;
 use crate::support::doors::{Doors, code, epoch};
@@ -673,6 +674,34 @@ fn a_refused_command_has_its_code_in_one_line() {
         assert!(!output.status.success(), "{arguments}: {text}");
         let line = text.lines().last().unwrap_or_default();
         assert!(line.starts_with(&format!("error[{code}]: ")), "{arguments}: {line}");
+    }
+}
+
+/// Also that to a request which is refused before its call begins, by both doors.
+#[tokio::test]
+async fn every_answer_has_the_id_of_its_request() {
+    let doors = Doors::open().await;
+    let (_, key) = doors.post("/v1/keys", json!({"rights": ["read"]})).await;
+    let bearer = format!("Bearer {}", key["secret"].as_str().unwrap());
+    let mut ids = BTreeSet::new();
+    for (method, path, name, value, status) in [
+        ("GET", "/v1/sessions", "authorization", &*bearer, 200),
+        ("GET", "/v1/sessions/ses_0", "authorization", &bearer, 404),
+        ("GET", "/v1/sessions", "authorization", "Bearer gfx_0", 401),
+        ("GET", "/v1/sessions", "accept", "*/*", 401),
+        ("POST", "/v1/sessions", "authorization", &bearer, 403),
+        ("GET", "/v1/sessions", "host", "evil.example", 403),
+        ("GET", "/v1/sessions", "origin", "https://evil.example", 403),
+        ("GET", "/v1/nothing", "accept", "*/*", 404),
+        ("PUT", "/v1/sessions", "accept", "*/*", 405),
+        ("POST", "/graphfix.v1.Sessions/List", "content-type", "application/grpc", 200),
+    ] {
+        let request = Request::builder().method(method).uri(path).header(name, value);
+        let request = request.body(Body::empty()).unwrap();
+        let response = doors.router.clone().oneshot(request).await.unwrap();
+        assert_eq!(response.status().as_u16(), status, "{method} {path}");
+        let id = response.headers()["x-request-id"].to_str().unwrap().to_owned();
+        assert!(ids.insert(id.clone()), "{method} {path}: {id} again");
     }
 }
 
