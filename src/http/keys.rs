@@ -33,7 +33,7 @@ pub(super) struct KeysQuery {
     path = "/v1/keys", tag = "Keys",
     request_body = v1::CreateKeyRequest,
     responses((status = 201, description = "The key with its secret", body = v1::CreateKeyResponse,
-        headers(("Location" = String, description = "Path of the key"))), Refused))]
+        headers(("Location" = String, description = "Path of the key, for DELETE"))), Refused))]
 pub(super) async fn create(
     caller: Caller,
     JsonBody(request): JsonBody<v1::CreateKeyRequest>,

@@ -11,9 +11,12 @@ use utoipa::ToSchema;
 
 use crate::contract::{Service, SignedIn};
 
+use super::conditions::Location;
 use super::connection::Peer;
 use super::problem::Refused;
 
+/// Path of the sign-in of whoever asks.
+const PATH: &str = "/v1/sign-in";
 /// How long a browser keeps the cookie (s). The service ends a sign-in by itself.
 const LIFETIME_S: u32 = 12 * 3600;
 /// Name of the cookie.
@@ -67,16 +70,17 @@ pub(super) async fn get(
 /// Exchanges the key of this request (`authorization: Bearer`) for a cookie, which lasts twelve
 /// hours, or as long as the key.
 #[utoipa::path(post, operation_id = "signInCreate", path = "/v1/sign-in", tag = "Sign-in",
-    responses((status = 201, description = "The sign-in, with its cookie",
-        body = SignInState), Refused))]
+    responses((status = 201, description = "The sign-in, with its cookie", body = SignInState,
+        headers(("Location" = String, description = "Path of the sign-in"))), Refused))]
 pub(super) async fn create(
     State(service): State<Service>,
     headers: HeaderMap,
     peer: Option<Extension<Peer>>,
-) -> Result<(StatusCode, SetCookie, Json<SignInState>), Refused> {
+) -> Result<(StatusCode, Location, SetCookie, Json<SignInState>), Refused> {
     let (cookie, signed_in) = service.sign_in().await?.unzip();
     let set = set_cookie(has_tls(&headers, peer.as_deref()), cookie.as_deref());
-    Ok((StatusCode::CREATED, set, Json(state(&service, signed_in))))
+    let place = [(header::LOCATION, PATH.to_owned())];
+    Ok((StatusCode::CREATED, place, set, Json(state(&service, signed_in))))
 }
 
 /// Signs out: the cookie is worth nothing from now on.

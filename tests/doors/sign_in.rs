@@ -65,7 +65,8 @@ async fn a_browser_signs_in_and_out() {
     let cookie = cookie_of(&headers);
     assert!(!cookie.contains(&secret), "the cookie is not the key");
     let signed = ("cookie", &*cookie);
-    let (_, _, state) = answered(&doors, "GET", "/v1/sign-in", &[signed]).await;
+    let place = headers["location"].to_str().unwrap();
+    let (_, _, state) = answered(&doors, "GET", place, &[signed]).await;
     assert_eq!(state, begun);
     let (status, _, _) = answered(&doors, "GET", "/v1/sessions", &[signed]).await;
     assert_eq!(status, StatusCode::OK);
