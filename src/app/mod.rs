@@ -281,7 +281,7 @@ impl App {
     }
 
     /// Serves until `stop` is ready. Then it refuses new requests, finishes the running ones, and
-    /// closes.
+    /// closes. Until then the port tells that it stops.
     ///
     /// # Errors
     /// Another service had the database meanwhile, so that this one must start again.
@@ -300,8 +300,8 @@ impl App {
                 }
             }
         };
-        http::serve(listener, &self.service, stop).await;
-        self.close().await;
+        let service = self.service.clone();
+        http::serve(listener, &service, stop, self.close()).await;
         match lost.get() {
             None => Ok(()),
             Some(error) => Err(error.clone().into()),

@@ -160,6 +160,10 @@ fn checked(
             return Err(Refusal::new(Code::RouteNotFound, message));
         }
     };
+    let peer: Option<&Peer> = request.extensions().get();
+    if peer.is_some_and(|peer| peer.is_late) && !tells_health(call) {
+        return Err(Refusal::new(Code::Draining, "the service is about to stop"));
+    }
     if let Mark::Node(key) = mark {
         let pass = match call.need {
             Need::Nothing => None,
@@ -167,8 +171,7 @@ fn checked(
         };
         return Ok((call, pass));
     }
-    let peer = request.extensions().get().map(|Peer { address, .. }| *address);
-    let pass = service.admit(call, credential(request), peer)?;
+    let pass = service.admit(call, credential(request), peer.map(|peer| peer.address))?;
     if let (Some(origin), Some(pass)) = (foreign, &pass)
         && !service.web_origins().serve(origin, pass.tenant())
     {
@@ -180,6 +183,12 @@ fn checked(
         head::check(call, request)?;
     }
     Ok((call, pass))
+}
+
+/// Whether a call tells how the service is. It is answered until the service has stopped.
+fn tells_health(call: &Call) -> bool {
+    matches!(call.rest, "GET /healthz" | "GET /readyz" | "GET /metrics")
+        || call.grpc.starts_with("/grpc.health.")
 }
 
 /// The request with its lease.

@@ -49,6 +49,8 @@ pub(super) struct Peer {
     pub(super) address: IpAddr,
     /// Whether the connection has TLS.
     pub(super) is_encrypted: bool,
+    /// Whether it was accepted while the service stops.
+    pub(super) is_late: bool,
 }
 
 /// How long a connection waits for its peer.

@@ -162,7 +162,8 @@ pub(super) const fn whole_seconds(delay_ms: u64) -> u64 {
 impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let Self(refusal) = self;
-        if matches!(refusal.code.class(), Class::Internal | Class::Unavailable) {
+        let is_failure = matches!(refusal.code.class(), Class::Internal | Class::Unavailable);
+        if is_failure && refusal.code != Code::Draining {
             log_failure(&refusal, "");
         }
         let status = http_status(refusal.code.class());

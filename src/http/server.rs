@@ -4,7 +4,6 @@ use std::any::Any;
 use std::convert::Infallible;
 use std::future::Future;
 use std::io::Write;
-use std::net::IpAddr;
 use std::time::Duration;
 
 use axum::Router;
@@ -26,16 +25,19 @@ use super::seats::Seats;
 /// The delay after a connection that could not be accepted.
 const ACCEPT_DELAY: Duration = Duration::from_millis(100);
 
-/// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains.
+/// Serves HTTP/1.1, HTTP/2 and gRPC on `listener` until `stop` is ready, then drains, and waits for
+/// `closed`.
 ///
 /// While draining, `/readyz` and the gRPC health service report not ready. After
-/// `limits.drain_notice_s` no connection is accepted, and running requests have `limits.drain_s` to
-/// finish. If a connection cannot be accepted, for instance because no file descriptor is free, the
-/// listener tries again after a delay.
+/// `limits.drain_notice_s` the connections take no more requests, and running ones have
+/// `limits.drain_s` to finish; `closed` begins after them. Whoever connects before it is ready is
+/// told how the service is; all other calls are refused. If a connection cannot be accepted, for
+/// instance because no file descriptor is free, the listener tries again after a delay.
 pub async fn serve(
     listener: TcpListener,
     service: &Service,
     stop: impl Future<Output = ()> + Send + 'static,
+    closed: impl Future<Output = ()>,
 ) {
     let limits = service.limits();
     let notice = Duration::from_secs(limits.drain_notice_s);
@@ -55,83 +57,105 @@ pub async fn serve(
             None => std::future::pending::<Infallible>().await,
         }
     };
-    let mut connections = JoinSet::new();
+    let port = Port::new(listener, service);
+    let (mut connections, mut late) = (JoinSet::new(), JoinSet::new());
     tokio::select! {
-        () = accept(listener, service, &mut connections, is_stopping) => {}
+        never = port.accept(&mut connections, &is_stopping, false) => match never {},
         () = announced => {}
         never = renewed => match never {},
     }
     stopping.send_replace(true);
-    let ended = async { while connections.join_next().await.is_some() {} };
-    if tokio::time::timeout(patience, ended).await.is_err() {
-        tracing::warn!(seconds = limits.drain_s, "requests were still running; cut off");
+    let ended = async {
+        let ended = async { while connections.join_next().await.is_some() {} };
+        if tokio::time::timeout(patience, ended).await.is_err() {
+            tracing::warn!(seconds = limits.drain_s, "requests were still running; cut off");
+        }
+        connections.abort_all();
+        closed.await;
+    };
+    // Nothing waits for late connections: they end with the others.
+    let (_open, is_never) = watch::channel(false);
+    tokio::select! {
+        never = port.accept(&mut late, &is_never, true) => match never {},
+        () = ended => {}
     }
 }
 
-/// Accepts connections and serves each in its own task.
-async fn accept(
+/// What accepts connections.
+struct Port<'a> {
     listener: TcpListener,
-    service: &Service,
-    connections: &mut JoinSet<()>,
-    is_stopping: watch::Receiver<bool>,
-) {
-    let limits = service.limits();
-    let patience = ConnectionPatience {
-        head: Duration::from_secs(limits.head_s),
-        idle: Duration::from_secs(limits.idle_s),
-        silence: Duration::from_secs(limits.body_silence_s),
-    };
-    let seats = Seats::new(
-        limits.connections,
-        limits.connections_per_address,
-        service.meters().connections.clone(),
-    );
-    let router = router(service);
-    loop {
-        let (stream, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(error) => {
-                // The peer has ended the connection, or no file descriptor is free.
-                tracing::debug!(%error, "a connection was not accepted");
-                tokio::time::sleep(ACCEPT_DELAY).await;
-                continue;
-            }
+    service: &'a Service,
+    router: Router,
+    seats: Seats,
+    patience: ConnectionPatience,
+}
+
+impl<'a> Port<'a> {
+    fn new(listener: TcpListener, service: &'a Service) -> Self {
+        let limits = service.limits();
+        let patience = ConnectionPatience {
+            head: Duration::from_secs(limits.head_s),
+            idle: Duration::from_secs(limits.idle_s),
+            silence: Duration::from_secs(limits.body_silence_s),
         };
-        while connections.try_join_next().is_some() {} // Forgets those that have ended.
-        match seats.take(peer.ip()) {
-            Ok(seat) => {
-                // Err: the connection is lost already.
-                stream.set_nodelay(true).ok();
-                let tls = service.tls().cloned();
-                let served = serve_stream(
-                    (stream, peer.ip()),
-                    tls,
-                    router.clone(),
-                    patience,
-                    is_stopping.clone(),
-                );
-                connections.spawn(async move {
-                    let _seat = seat;
-                    served.await;
-                });
+        let seats = Seats::new(
+            limits.connections,
+            limits.connections_per_address,
+            service.meters().connections.clone(),
+        );
+        Self { listener, service, router: router(service), seats, patience }
+    }
+
+    /// Accepts connections and serves each in its own task.
+    async fn accept(
+        &self,
+        connections: &mut JoinSet<()>,
+        is_stopping: &watch::Receiver<bool>,
+        is_late: bool,
+    ) -> Infallible {
+        loop {
+            let (stream, peer) = match self.listener.accept().await {
+                Ok(accepted) => accepted,
+                Err(error) => {
+                    // The peer has ended the connection, or no file descriptor is free.
+                    tracing::debug!(%error, "a connection was not accepted");
+                    tokio::time::sleep(ACCEPT_DELAY).await;
+                    continue;
+                }
+            };
+            while connections.try_join_next().is_some() {} // Forgets those that have ended.
+            let tls = self.service.tls().cloned();
+            match self.seats.take(peer.ip()) {
+                Ok(seat) => {
+                    // Err: the connection is lost already.
+                    stream.set_nodelay(true).ok();
+                    let peer = Peer { address: peer.ip(), is_encrypted: tls.is_some(), is_late };
+                    let router = self.router.clone();
+                    let is_stopping = is_stopping.clone();
+                    let served =
+                        serve_stream((stream, peer), tls, router, self.patience, is_stopping);
+                    connections.spawn(async move {
+                        let _seat = seat;
+                        served.await;
+                    });
+                }
+                // A peer with TLS reads nothing before its handshake.
+                Err(_) if tls.is_some() => drop(stream),
+                Err(refusal) => refuse(stream, &refusal),
             }
-            // A peer with TLS reads nothing before its handshake.
-            Err(_) if service.tls().is_some() => drop(stream),
-            Err(refusal) => refuse(stream, &refusal),
         }
     }
 }
 
 /// Serves an accepted connection, after its handshake if the port has TLS.
 async fn serve_stream(
-    (stream, address): (TcpStream, IpAddr),
+    (stream, peer): (TcpStream, Peer),
     tls: Option<ServerTls>,
     router: Router,
     patience: ConnectionPatience,
     mut is_stopping: watch::Receiver<bool>,
 ) {
     let Some(tls) = tls else {
-        let peer = Peer { address, is_encrypted: false };
         return serve_connection((stream, peer), router, patience, is_stopping).await;
     };
     let agreed = tokio::select! {
@@ -140,7 +164,6 @@ async fn serve_stream(
         _ = is_stopping.wait_for(|stopping| *stopping) => None,
     };
     if let Some(stream) = agreed {
-        let peer = Peer { address, is_encrypted: true };
         serve_connection((stream, peer), router, patience, is_stopping).await;
     }
 }

@@ -9,6 +9,7 @@ mod bases;
 mod clients;
 mod compare;
 mod cross_origin;
+mod draining;
 mod errors;
 mod feeds;
 mod fetch_hosts;

@@ -40,7 +40,8 @@ async fn listening(limits: Limits) -> (Doors, u16) {
     let port = listener.local_addr().unwrap().port();
     let service = doors.service.clone();
     tokio::spawn(async move {
-        graphfix::http::serve(listener, &service, std::future::pending()).await;
+        let (stop, closed) = (std::future::pending(), std::future::ready(()));
+        graphfix::http::serve(listener, &service, stop, closed).await;
     });
     (doors, port)
 }

@@ -39,7 +39,8 @@ async fn a_window_that_stays_closed_keeps_no_memory() {
     let (stop, stopped) = oneshot::channel::<()>();
     let service = doors.service.clone();
     let serving = tokio::spawn(async move {
-        graphfix::http::serve(listener, &service, async { drop(stopped.await) }).await;
+        let (stop, closed) = (async { drop(stopped.await) }, std::future::ready(()));
+        graphfix::http::serve(listener, &service, stop, closed).await;
     });
     let mut reader = connected(port, 1 << 16).await;
     let watch = get(port, &format!("/v1/sessions/{session}/solutions:watch"));
