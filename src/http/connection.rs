@@ -23,6 +23,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tower::ServiceExt;
 
 use super::answer::{Answer, PART_BYTES, WaitingAnswers};
+use super::unread;
 
 /// Largest head of a request (bytes).
 const HEAD_BYTES: usize = 16 << 10;
@@ -166,7 +167,7 @@ pub(super) async fn serve_connection(
         request.extensions_mut().insert(peer);
         let (running, router) = (of_service.begin(request.version()), router.clone());
         async move {
-            let response = router.oneshot(request.map(Body::new)).await?;
+            let response = router.oneshot(unread::body(request)).await?;
             Ok::<_, Infallible>(response.map(|body| running.answer(body)))
         }
     });

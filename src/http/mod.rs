@@ -40,6 +40,7 @@ mod solutions;
 mod tenants;
 mod traced;
 mod track;
+mod unread;
 mod uploads;
 mod watch;
 

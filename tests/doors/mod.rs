@@ -10,6 +10,7 @@ mod clients;
 mod compare;
 mod cross_origin;
 mod draining;
+mod early_refusals;
 mod errors;
 mod feeds;
 mod fetch_hosts;

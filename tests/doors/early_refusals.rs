@@ -1,0 +1,85 @@
+//! Refusals that are sent while the body of their request still arrives.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use graphfix::config::Limits;
+use tokio::net::TcpListener;
+
+use crate::support::doors::Doors;
+use crate::support::jobs::BOUNDARY;
+
+/// Far more than the buffers of a connection take.
+const BYTES: usize = 20_000_000;
+
+/// A service that listens, and its port.
+async fn listening() -> (Doors, u16) {
+    let doors = Doors::with(Limits { head_s: 60, ..Limits::standard() }).await;
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let service = doors.service.clone();
+    tokio::spawn(async move {
+        let (stop, closed) = (std::future::pending(), std::future::ready(()));
+        graphfix::http::serve(listener, &service, stop, closed).await;
+    });
+    (doors, port)
+}
+
+/// The head of a request that announces a body.
+fn head(path: &str, kind: &str) -> String {
+    format!(
+        "POST {path} HTTP/1.1\r\nhost: localhost\r\ncontent-type: {kind}\r\n\
+         content-length: {BYTES}\r\n\r\n"
+    )
+}
+
+/// What has arrived of the next answers once it has this text.
+fn answered(stream: &mut TcpStream, text: &str) -> String {
+    let (mut answer, mut some) = (String::new(), [0; 4096]);
+    while !answer.contains(text) {
+        let bytes = stream.read(&mut some).unwrap();
+        assert!(0 < bytes, "closed after {answer:?}");
+        answer.push_str(&String::from_utf8_lossy(&some[..bytes]));
+    }
+    answer
+}
+
+/// A client that sends all before it reads gets the refusal, and its connection serves on.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_refusal_arrives_although_the_body_is_still_sent() {
+    let (_doors, port) = listening().await;
+    let part = format!(
+        "--{BOUNDARY}\r\nContent-Disposition: form-data; name=\"sky\"; filename=\"a\"\r\n\r\n"
+    );
+    let form = format!("multipart/form-data; boundary={BOUNDARY}");
+    for (path, kind, code) in [
+        ("/v1/jobs", &*form, "UNKNOWN_FIELD"),
+        ("/v1/nothing", "text/plain", "ROUTE_NOT_FOUND"),
+        ("/v1/navigation", "application/octet-stream", "BODY_TOO_LARGE"),
+    ] {
+        let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        let mut body = part.clone().into_bytes();
+        body.resize(BYTES, b'x');
+        stream.write_all(head(path, kind).as_bytes()).unwrap();
+        stream.write_all(&body).unwrap();
+        answered(&mut stream, code);
+        stream.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+        answered(&mut stream, "ok\n");
+    }
+}
+
+/// Who sends nothing more after a refusal keeps the connection for seconds only.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_body_that_never_comes_ends_with_its_refusal() {
+    let (doors, port) = listening().await;
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.write_all(head("/v1/nothing", "text/plain").as_bytes()).unwrap();
+    let (begun, mut answer) = (Instant::now(), String::new());
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    stream.read_to_string(&mut answer).unwrap();
+    assert!(answer.contains("ROUTE_NOT_FOUND"), "{answer}");
+    assert!(begun.elapsed() < Duration::from_secs(30), "{:?}", begun.elapsed());
+    assert_eq!(doors.service.budget().used(), 0);
+}
