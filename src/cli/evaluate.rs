@@ -172,6 +172,11 @@ fn rover_epochs(path: &Path) -> Result<Vec<GpsTime>, Failure> {
     while reader.read_epoch(&mut epoch).map_err(|error| unreadable(path, &error))? {
         times.push(epoch.time);
     }
+    // The epochs after it are missing, and would not be expected.
+    if let Some(damage) = reader.left_out().damage {
+        let message = format!("{}: {damage}", path.display());
+        return Err(Failure::of(Code::FileMalformed, message));
+    }
     Ok(times)
 }
 
