@@ -72,7 +72,7 @@ pub(super) async fn chosen(
 
 /// The bytes of a file and the ephemerides in it.
 fn read_file(content: Vec<u8>) -> Result<(Vec<u8>, Navigation), String> {
-    let read = read_navigation(unpack_within(&*content, UNPACKED_LIMIT));
+    let read = read_navigation(unpack_within(&content, UNPACKED_LIMIT));
     let navigation = read.map_err(|error| error.to_string())?.0;
     match navigation.is_empty() {
         true => Err("the file has no ephemerides".to_owned()),
