@@ -6,7 +6,7 @@ use std::os::unix::fs::FileExt;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use crate::formats::{UnpackError, unpack_error, unpack_reader_within};
+use crate::formats::{UnpackError, read_block, unpack_error, unpack_reader_within};
 use crate::recording::{Input, RecordingError};
 
 use super::Failure;
@@ -116,10 +116,6 @@ impl<R: BufRead> BufRead for Noting<R> {
 
 impl<R: BufRead> Read for Noting<R> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let block = self.fill_buf()?;
-        let length = block.len().min(buffer.len());
-        buffer[..length].copy_from_slice(&block[..length]);
-        self.consume(length);
-        Ok(length)
+        read_block(self, buffer)
     }
 }

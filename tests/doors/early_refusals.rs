@@ -5,7 +5,6 @@ use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
 use graphfix::config::Limits;
-use tokio::net::TcpListener;
 
 use crate::support::doors::Doors;
 use crate::support::jobs::BOUNDARY;
@@ -15,15 +14,7 @@ const BYTES: usize = 20_000_000;
 
 /// A service that listens, and its port.
 async fn listening() -> (Doors, u16) {
-    let doors = Doors::with(Limits { head_s: 60, ..Limits::standard() }).await;
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let port = listener.local_addr().unwrap().port();
-    let service = doors.service.clone();
-    tokio::spawn(async move {
-        let (stop, closed) = (std::future::pending(), std::future::ready(()));
-        graphfix::http::serve(listener, &service, stop, closed).await;
-    });
-    (doors, port)
+    Doors::listening(Limits { head_s: 60, ..Limits::standard() }).await
 }
 
 /// The head of a request that announces a body.

@@ -147,7 +147,7 @@ async fn without_a_base_the_nearest_of_the_service_is_taken() {
     let nearest = done(&doors, &parts(relative)).await;
     let own = result(&doors, &nearest).await;
     let said = provenance(&doors, &nearest).await;
-    assert!(said.contains(&format!("base: base {near}, 8.")), "{said}");
+    assert!(said.contains(&format!("base: {near}, 8.")), "{said}");
 
     let file = PAIR.base_file(Some(PAIR.position));
     let mut given = parts(relative);
@@ -183,7 +183,7 @@ async fn files_of_a_base_come_from_its_archive() {
     let parts = [("rover", &rover[..]), ("options", options.as_bytes())];
     let of_files = done(&doors, &parts).await;
     let said = provenance(&doors, &of_files).await;
-    assert!(said.contains(&format!("base: base {base}: a file of its archive")), "{said}");
+    assert!(said.contains(&format!("base: {base}: a file of its archive")), "{said}");
 
     let sessions = doors.service.sessions();
     let id = sessions.create(new_session()).await.unwrap().id;
@@ -193,7 +193,7 @@ async fn files_of_a_base_come_from_its_archive() {
     let options = json!({"session": id.to_string(), "base": base, "format": "csv"}).to_string();
     let of_session = done(&doors, &[("options", options.as_bytes())]).await;
     let said = provenance(&doors, &of_session).await;
-    assert!(said.contains(&format!("base: base {base}")), "{said}");
+    assert!(said.contains(&format!("base: {base}")), "{said}");
     let fixes = |content: Vec<u8>| String::from_utf8(content).unwrap().matches("FIXED").count();
     let files = fixes(result(&doors, &of_files).await);
     assert!(140 < files && files == fixes(result(&doors, &of_session).await), "{files}");

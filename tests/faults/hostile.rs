@@ -16,7 +16,7 @@ use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::session::SequencedEpoch;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::{TcpListener, TcpStream};
+use tokio::net::TcpStream;
 use tonic::codec::CompressionEncoding;
 use tower::ServiceExt;
 
@@ -31,19 +31,6 @@ fn gzip(content: &[u8]) -> Vec<u8> {
     let mut packer = GzEncoder::new(Vec::new(), Compression::default());
     packer.write_all(content).unwrap();
     packer.finish().unwrap()
-}
-
-/// A service that listens, and its port.
-async fn listening(limits: Limits) -> (Doors, u16) {
-    let doors = Doors::with(limits).await;
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let port = listener.local_addr().unwrap().port();
-    let service = doors.service.clone();
-    tokio::spawn(async move {
-        let (stop, closed) = (std::future::pending(), std::future::ready(()));
-        graphfix::http::serve(listener, &service, stop, closed).await;
-    });
-    (doors, port)
 }
 
 /// A connection on which `text` was sent.
@@ -70,7 +57,7 @@ async fn is_served(port: u16) -> bool {
 #[tokio::test]
 async fn half_heads_and_silent_connections_are_closed() {
     let limits = Limits { head_s: 1, idle_s: 1, ..Limits::standard() };
-    let (_doors, port) = listening(limits).await;
+    let (_doors, port) = Doors::listening(limits).await;
     let mut hostile = Vec::new();
     for text in ["", "GET / HTTP/1.1\r\nhost: loc", "PRI * HTT"] {
         for _ in 0..30 {
@@ -89,7 +76,7 @@ async fn half_heads_and_silent_connections_are_closed() {
 #[tokio::test]
 async fn half_bodies_use_bounded_memory_and_end() {
     let limits = Limits { body_silence_s: 1, request_memory_bytes: 16 << 20, ..Limits::standard() };
-    let (doors, port) = listening(limits).await;
+    let (doors, port) = Doors::listening(limits).await;
     let session = doors.session().await;
     let head = format!(
         "POST /v1/navigation HTTP/1.1\r\nhost: localhost\r\ncontent-type: {OCTETS}\r\n\
@@ -305,7 +292,7 @@ async fn a_callers_deadline_is_kept() {
 #[tokio::test]
 async fn connections_have_a_limit_in_all_and_from_one_address() {
     let limits = Limits { connections: 5, connections_per_address: 3, ..Limits::standard() };
-    let (_doors, port) = listening(limits).await;
+    let (_doors, port) = Doors::listening(limits).await;
     let mut open = Vec::new();
     for _ in 0..3 {
         let mut stream = sent(port, "GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").await;

@@ -13,6 +13,7 @@ use graphfix::config::{
 use graphfix::contract::{Caller, Service};
 use graphfix::feeds::FeedOptions;
 use serde_json::{Value, json};
+use tokio::net::TcpListener;
 use tower::ServiceExt;
 
 use super::casters::{BRISK, PATIENCE};
@@ -86,6 +87,19 @@ impl Doors {
 
     pub(crate) async fn with(limits: Limits) -> Self {
         Self::with_feeds(limits, BRISK).await
+    }
+
+    /// With these limits, on a port of its own, which it listens to.
+    pub(crate) async fn listening(limits: Limits) -> (Self, u16) {
+        let doors = Self::with(limits).await;
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let service = doors.service.clone();
+        tokio::spawn(async move {
+            let (stop, closed) = (std::future::pending(), std::future::ready(()));
+            graphfix::http::serve(listener, &service, stop, closed).await;
+        });
+        (doors, port)
     }
 
     /// With these options of streams.

@@ -5,6 +5,7 @@ use std::io::{BufRead, Error, ErrorKind, Read, Result};
 use std::sync::{Arc, OnceLock};
 
 use super::GunzipError;
+use crate::formats::gunzip::read_block;
 
 /// Where and why the gzip stream of a file ends early.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -94,11 +95,7 @@ impl<R: BufRead> BufRead for UntilDamage<R> {
 
 impl<R: BufRead> Read for UntilDamage<R> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
-        let block = self.fill_buf()?;
-        let length = block.len().min(buffer.len());
-        buffer[..length].copy_from_slice(&block[..length]);
-        self.consume(length);
-        Ok(length)
+        read_block(self, buffer)
     }
 }
 

@@ -153,13 +153,19 @@ impl<R: BufRead> BufRead for GunzipReader<R> {
     }
 }
 
+/// Reads by the blocks of a buffered reader.
+///
+/// # Errors
+/// The reader fails.
+pub fn read_block(reader: &mut impl BufRead, buffer: &mut [u8]) -> Result<usize, Error> {
+    let length = reader.fill_buf()?.read(buffer)?;
+    reader.consume(length);
+    Ok(length)
+}
+
 impl<R: BufRead> Read for GunzipReader<R> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Error> {
-        let block = self.fill_buf()?;
-        let length = block.len().min(buffer.len());
-        buffer[..length].copy_from_slice(&block[..length]);
-        self.consume(length);
-        Ok(length)
+        read_block(self, buffer)
     }
 }
 

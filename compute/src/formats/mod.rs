@@ -31,8 +31,8 @@ mod unpack;
 use std::io::{BufRead, Chain, Cursor, Read, Result};
 
 pub(crate) use gunzip::Gunzip;
-pub use gunzip::GunzipError;
 use gunzip::GunzipReader;
+pub use gunzip::{GunzipError, read_block};
 pub use unpack::{UnpackError, check_ratio, unpack_error, unpack_reader_within, unpack_within};
 
 /// First bytes of a gzip member; RFC 1952, 2.3.1.

@@ -3,6 +3,7 @@
 use std::io::{BufRead, Error, Read, Result};
 
 use super::{GZIP_MAGIC, decompress};
+use crate::formats::gunzip::read_block;
 
 /// Unpacked content may be this many times larger than packed. RINEX packs to a fifth, and text
 /// that repeats itself to a thirtieth.
@@ -96,11 +97,7 @@ impl<R: BufRead> BufRead for Bounded<R> {
 
 impl<R: BufRead> Read for Bounded<R> {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
-        let block = self.fill_buf()?;
-        let length = block.len().min(buffer.len());
-        buffer[..length].copy_from_slice(&block[..length]);
-        self.consume(length);
-        Ok(length)
+        read_block(self, buffer)
     }
 }
 

@@ -35,7 +35,7 @@ pub(super) fn covers(
 /// The name of the input of a base.
 pub(super) fn named(offer: &PastBase, what: &str) -> String {
     let distance = offer.distance_m.map(|m| format!(", {:.1} km from the rover", m / 1e3));
-    format!("base {}{}: {what}", offer.id(), distance.unwrap_or_default())
+    format!("{}{}: {what}", offer.id(), distance.unwrap_or_default())
 }
 
 /// The epochs of a base as RINEX 3.05, in pieces.
@@ -46,7 +46,7 @@ pub(super) async fn written(
     navigation: &Navigation,
 ) -> Result<Vec<Vec<u8>>, Failure> {
     let mut header = ObservationHeader::new(RinexVersion { major: 3, minor: 5 });
-    header.marker = name.split([' ', ',', ':']).nth(1).unwrap_or_default().to_owned();
+    header.marker = name.split([',', ':']).next().unwrap_or_default().to_owned();
     header.approximate_position = Some(site.marker);
     header.antenna.clone_from(&site.antenna);
     header.antenna_delta_hen_m = site.antenna_delta_hen_m;
