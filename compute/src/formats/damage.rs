@@ -5,7 +5,7 @@ use std::io::{BufRead, Error, ErrorKind, Read, Result};
 use std::sync::{Arc, OnceLock};
 
 use super::GunzipError;
-use crate::formats::gunzip::read_block;
+use super::gunzip::read_block;
 
 /// Where and why the gzip stream of a file ends early.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -2,8 +2,8 @@
 
 use std::io::{BufRead, Error, Read, Result};
 
+use super::gunzip::read_block;
 use super::{GZIP_MAGIC, decompress};
-use crate::formats::gunzip::read_block;
 
 /// Unpacked content may be this many times larger than packed. RINEX packs to a fifth, and text
 /// that repeats itself to a thirtieth.
