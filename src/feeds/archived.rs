@@ -1,19 +1,23 @@
 //! The files of archives for any time, fetched once: for jobs, whose recordings may be old.
 
+use std::io::BufRead;
 use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::time::sleep;
 
+use crate::formats::unpack_within;
 use crate::gnss::GpsTime;
 use crate::refusal::Code;
 
-use super::archive::PACKED_LIMIT;
+use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::web::{self, Fetched, Url, Validators, WebError};
 use super::{ArchiveTemplate, Backoff, Connector};
 
-/// Most files of one request: a week of daily ones, a day of hourly ones.
+/// Most files of one request, a month of daily ones or a day of hourly ones, and most bytes of them
+/// together, as they are in memory.
 const FILES_MAX: usize = 32;
+const BYTES_MAX: usize = 64 << 20;
 /// Times that a file is tried, and the delays between them.
 const TRIES: usize = 3;
 const DELAY: Duration = Duration::from_secs(2);
@@ -25,6 +29,13 @@ pub(crate) struct ArchivedFile {
     pub(crate) url: Url,
     /// Its bytes, plain or gzip.
     pub(crate) content: Vec<u8>,
+}
+
+impl ArchivedFile {
+    /// Its bytes unpacked, within the limit of all files of archives.
+    pub(crate) fn unpacked(&self) -> impl BufRead + '_ {
+        unpack_within(&self.content, UNPACKED_LIMIT)
+    }
 }
 
 /// The operator's archives of ephemerides.
@@ -64,17 +75,22 @@ impl NavigationArchives {
 /// An archive whose files are not of a certain time has none.
 ///
 /// # Errors
-/// The host is not contacted, refuses, or does not send a file in time.
+/// The host is not contacted, refuses, or does not send a file in time, or the files are too large
+/// together.
 pub(crate) async fn files(
     connector: &Connector,
     template: &ArchiveTemplate,
     (from, until): (GpsTime, GpsTime),
 ) -> Result<Vec<ArchivedFile>, WebError> {
-    let (mut found, mut at) = (Vec::new(), from);
+    let (mut found, mut at, mut bytes) = (Vec::new(), from, 0);
     for _ in 0..FILES_MAX {
         let Some((_, end)) = template.span(at).filter(|_| at <= until) else { break };
         let url = template.at(at)?;
         if let Some(content) = tried(connector, &url).await? {
+            bytes += content.len();
+            if BYTES_MAX < bytes {
+                return Err(WebError::TooLarge { limit: BYTES_MAX });
+            }
             found.push(ArchivedFile { url, content });
         }
         at = end;

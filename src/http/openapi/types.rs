@@ -11,7 +11,7 @@ use crate::contract::v1;
 
 /// Properties that are times in UTC end with this, and are of RFC 3339.
 const TIME: &str = "Utc";
-/// Times that are empty while there is none: schema and property.
+/// Times that are empty until what they state has happened: schema and property.
 const SOMETIMES_EMPTY: [(&str, &str); 8] = [
     ("Base", "lastStoredUtc"),
     ("Job", "startedUtc"),

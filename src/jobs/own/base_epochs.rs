@@ -1,5 +1,8 @@
 //! The epochs of a base that are added to a job as a file.
 
+use std::fmt::Display;
+use std::vec::IntoIter;
+
 use crate::aiding::bases::PastBase;
 use crate::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
 use crate::gnss::{BaseSite, GpsTime, Navigation};
@@ -38,38 +41,61 @@ pub(super) fn named(offer: &PastBase, what: &str) -> String {
     format!("{}{}: {what}", offer.id(), distance.unwrap_or_default())
 }
 
-/// The epochs of a base as RINEX 3.05, in pieces.
-pub(super) async fn written(
-    name: &str,
-    site: &BaseSite,
-    epochs: Vec<StoredBaseEpoch>,
-    navigation: &Navigation,
-) -> Result<Vec<Vec<u8>>, Failure> {
-    let mut header = ObservationHeader::new(RinexVersion { major: 3, minor: 5 });
-    header.marker = name.split([',', ':']).next().unwrap_or_default().to_owned();
-    header.approximate_position = Some(site.marker);
-    header.antenna.clone_from(&site.antenna);
-    header.antenna_delta_hen_m = site.antenna_delta_hen_m;
-    header.first_observation = epochs.first().map(|epoch| epoch.time);
-    header.add_channels(navigation);
-    in_background(move || {
-        let failed = |error: &dyn std::fmt::Display| {
-            Failure::new(Code::Internal, format!("writing the base's epochs: {error}"), None)
-        };
-        let decoded = || epochs.iter().map(PastBase::decoded);
-        decoded().for_each(|epoch| header.add_codes(&epoch));
-        header.codes.iter_mut().for_each(|codes| codes.sort_unstable());
-        let writer = ObservationWriter::new(Vec::new(), &header);
-        let mut writer = writer.map_err(|error| failed(&error))?;
-        let mut pieces = Vec::new();
-        for (index, epoch) in decoded().enumerate() {
-            writer.write_what_fits(epoch).map_err(|error| failed(&error))?;
-            if (index + 1).is_multiple_of(EPOCHS_PER_PIECE) {
-                pieces.push(writer.take());
-            }
+/// The epochs of a base as a RINEX 3.05 file that is written in pieces.
+pub(super) struct BaseText {
+    /// `None` while a piece is written.
+    writer: Option<ObservationWriter<Vec<u8>>>,
+    epochs: IntoIter<StoredBaseEpoch>,
+    is_done: bool,
+}
+
+impl BaseText {
+    /// Begins the file. The header has the codes of all epochs.
+    ///
+    /// # Errors
+    /// It cannot be written.
+    pub(super) async fn begin(base: BaseEpochs, navigation: &Navigation) -> Result<Self, Failure> {
+        let BaseEpochs { name, site, epochs, .. } = base;
+        let mut header = ObservationHeader::new(RinexVersion { major: 3, minor: 5 });
+        header.marker = name.split([',', ':']).next().unwrap_or_default().to_owned();
+        header.approximate_position = Some(site.marker);
+        header.antenna = site.antenna;
+        header.antenna_delta_hen_m = site.antenna_delta_hen_m;
+        header.first_observation = epochs.first().map(|epoch| epoch.time);
+        header.add_channels(navigation);
+        in_background(move || {
+            epochs.iter().for_each(|epoch| header.add_codes(&PastBase::decoded(epoch)));
+            header.codes.iter_mut().for_each(|codes| codes.sort_unstable());
+            let writer = ObservationWriter::new(Vec::new(), &header).map_err(unwritable)?;
+            Ok(Self { writer: Some(writer), epochs: epochs.into_iter(), is_done: false })
+        })
+        .await
+    }
+
+    /// The next piece; `None` at the end.
+    ///
+    /// # Errors
+    /// An epoch cannot be written.
+    pub(super) async fn next(&mut self) -> Result<Option<Vec<u8>>, Failure> {
+        if self.is_done {
+            return Ok(None);
         }
-        pieces.push(writer.take());
-        Ok(pieces)
-    })
-    .await
+        let some: Vec<_> = self.epochs.by_ref().take(EPOCHS_PER_PIECE).collect();
+        self.is_done = some.len() < EPOCHS_PER_PIECE;
+        let mut writer = self.writer.take().expect("no piece is written");
+        let (writer, piece) = in_background(move || {
+            for epoch in &some {
+                writer.write_what_fits(PastBase::decoded(epoch)).map_err(unwritable)?;
+            }
+            let piece = writer.take();
+            Ok((writer, piece))
+        })
+        .await?;
+        self.writer = Some(writer);
+        Ok(Some(piece))
+    }
+}
+
+fn unwritable(error: impl Display) -> Failure {
+    Failure::new(Code::Internal, format!("writing the base's epochs: {error}"), None)
 }

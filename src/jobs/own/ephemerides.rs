@@ -1,15 +1,15 @@
 //! The ephemerides to add to a job: those that the service has, or files of archives.
 
+use tokio::task::spawn_blocking;
+
 use crate::feeds::{ArchivedFile, NavigationArchives};
 use crate::formats::rinex::{read_navigation, write_navigation};
-use crate::formats::unpack_within;
 use crate::gnss::constants::SECONDS_PER_HOUR;
 use crate::gnss::{Ephemeris, GpsTime, Navigation};
 use crate::jobs::Failure;
 use crate::recording::InForce;
 use crate::refusal::Code;
 
-use super::UNPACKED_LIMIT;
 use super::background::in_background;
 
 /// Name of the input with the ephemerides that the service has.
@@ -17,36 +17,30 @@ const OWN_NAVIGATION: &str = "the service's own ephemerides";
 /// Files of this much time before a recording may have ephemerides for its begin (s).
 const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
+/// A file of ephemerides: its name, its bytes and what is in it.
+pub(super) type Ephemerides = (String, Vec<u8>, Navigation);
+
 /// The files of ephemerides to add for a span of time, each with its name: those that the service
 /// has `now`, or those of the archives.
+///
+/// # Errors
+/// There are no ephemerides of that time, or they cannot be written.
 pub(super) async fn chosen(
     now: &Navigation,
     archives: Option<&NavigationArchives>,
     span: Option<(GpsTime, GpsTime)>,
-) -> Result<Vec<(String, Vec<u8>, Navigation)>, Failure> {
+) -> Result<Vec<Ephemerides>, Failure> {
     let mut own = now.clone();
     own.retain(Ephemeris::is_legacy);
     let in_force = span.map_or(InForce::Always, |span| InForce::of(&own, span));
     let mut problem = None;
     if in_force != InForce::Always
-        && let (Some((from, until)), Some(archives)) = (span, archives)
+        && let (Some(span), Some(archives)) = (span, archives)
     {
-        match archives.files((from - BEFORE_S, until)).await {
-            Err(error) => problem = Some(error.to_string()),
-            Ok(files) => {
-                let mut read = Vec::new();
-                for ArchivedFile { url, content } in files {
-                    match in_background(move || Ok(read_file(content))).await? {
-                        Ok((content, navigation)) => {
-                            read.push((url.to_string(), content, navigation));
-                        }
-                        Err(why) => problem = Some(format!("{url}: {why}")),
-                    }
-                }
-                if !read.is_empty() {
-                    return Ok(read);
-                }
-            }
+        match archived(archives, span).await {
+            Ok(files) if files.is_empty() => {}
+            Ok(files) => return Ok(files),
+            Err(why) => problem = Some(why),
         }
     }
     if own.is_empty() || in_force == InForce::Never {
@@ -70,12 +64,32 @@ pub(super) async fn chosen(
     .await
 }
 
-/// The bytes of a file and the ephemerides in it.
-fn read_file(content: Vec<u8>) -> Result<(Vec<u8>, Navigation), String> {
-    let read = read_navigation(unpack_within(&content, UNPACKED_LIMIT));
-    let navigation = read.map_err(|error| error.to_string())?.0;
+/// The files of archives with ephemerides for a span of time.
+///
+/// # Errors
+/// Why they cannot be had: no archive could be asked, or none of the files can be read.
+async fn archived(
+    archives: &NavigationArchives,
+    (from, until): (GpsTime, GpsTime),
+) -> Result<Vec<Ephemerides>, String> {
+    let files = archives.files((from - BEFORE_S, until)).await;
+    let (mut all, mut problem) = (Vec::new(), None);
+    for file in files.map_err(|error| error.to_string())? {
+        match spawn_blocking(|| read(file)).await {
+            Ok(Ok(read)) => all.push(read),
+            Ok(Err(why)) => problem = Some(why),
+            Err(panic) => problem = Some(panic.to_string()),
+        }
+    }
+    problem.filter(|_| all.is_empty()).map_or(Ok(all), Err)
+}
+
+fn read(file: ArchivedFile) -> Result<Ephemerides, String> {
+    let url = &file.url;
+    let read = read_navigation(file.unpacked()).map_err(|error| format!("{url}: {error}"));
+    let navigation = read?.0;
     match navigation.is_empty() {
-        true => Err("the file has no ephemerides".to_owned()),
-        false => Ok((content, navigation)),
+        true => Err(format!("{url}: the file has no ephemerides")),
+        false => Ok((url.to_string(), file.content, navigation)),
     }
 }

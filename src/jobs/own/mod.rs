@@ -17,7 +17,7 @@ mod ephemerides;
 
 use std::fs::File;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::runtime::Handle;
 use tokio::task::spawn_blocking;
@@ -25,9 +25,8 @@ use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFile, BaseId, PastBase};
-use crate::feeds::{ArchiveTemplate, ArchivedFile, archived_files};
+use crate::feeds::{ArchiveTemplate, archived_files};
 use crate::formats::receiver::TimeReference;
-use crate::formats::unpack_within;
 use crate::gnss::{Ecef, GpsTime, Navigation};
 use crate::recording::{Input, RecordingError, Survey};
 use crate::refusal::Code;
@@ -36,7 +35,7 @@ use crate::store::{BaseChoice, StoreError, StoredBaseEpoch, StoredEpoch};
 use crate::tenant::Tenant;
 
 use super::JobError;
-use super::arriving::Upload;
+use super::arriving::{ArrivingFile, Upload};
 use super::files::StoredFile;
 use super::report::Failure;
 use super::request::{JobInput, JobRequest, Part, Plan};
@@ -45,13 +44,12 @@ use super::state::{Desk, LOOK, Running, unless_stopped};
 use super::watched::Watched;
 
 use background::in_background;
-use base_epochs::{BaseEpochs, covers, named, written};
+use base_epochs::{BaseEpochs, BaseText, covers, named};
 use ephemerides::chosen;
 
-/// Largest file of an archive, unpacked (bytes).
-const UNPACKED_LIMIT: u64 = 128 << 20;
 /// Bases whose archives are asked for one job.
 const ARCHIVES_MAX: usize = 5;
+
 /// What adds inputs to a job.
 pub(super) struct Adding<'a> {
     pub(super) desk: &'a Desk,
@@ -107,13 +105,14 @@ impl Adding<'_> {
             false => navigation,
             true => {
                 let now = aiding.navigation.of(&self.tenant).current().navigation;
-                let chosen =
-                    unless_stopped(&self.running, chosen(&now, self.desk.archives.as_ref(), span))
-                        .await;
-                let Some(chosen) = chosen else { return Ok(None) };
+                let chosen = chosen(&now, self.desk.archives.as_ref(), span);
+                let Some(chosen) = self.awaited(chosen).await? else { return Ok(None) };
                 let mut all = Navigation::default();
                 for (name, content, navigation) in chosen? {
-                    added.push(self.store(request, Part::Navigation, &name, [content]).await?);
+                    let part = Part::Navigation;
+                    let mut file = self.begin(part).await?;
+                    file.write(&content).await.map_err(|error| at_part(&error, part))?;
+                    added.push(add_file(request, (part, &name), file).await?);
                     all.merge(navigation);
                 }
                 all
@@ -124,9 +123,7 @@ impl Adding<'_> {
             let position = self.position(files, navigation.clone()).await?;
             let choice = request.options.bases.clone();
             let found = self.base(choice, &plan, &aiding, (span, position));
-            let Some(found) = unless_stopped(&self.running.clone(), found).await else {
-                return Ok(None);
-            };
+            let Some(found) = self.awaited(found).await? else { return Ok(None) };
             let found = found.map_err(|why| no_base(request, &why))?;
             added.push(self.store_base(request, found, &navigation).await?);
         }
@@ -171,9 +168,7 @@ impl Adding<'_> {
             asked => asked.clone(),
         };
         let found = self.base(choice, plan, aiding, (span, position));
-        let Some(found) = unless_stopped(&self.running.clone(), found).await else {
-            return Ok(None);
-        };
+        let Some(found) = self.awaited(found).await? else { return Ok(None) };
         match found {
             Ok(found) if found.is_of_archive => {
                 let navigation = aiding.navigation.of(&self.tenant).current().navigation;
@@ -191,9 +186,13 @@ impl Adding<'_> {
         base: BaseEpochs,
         navigation: &Navigation,
     ) -> Result<StoredFile, Failure> {
-        let BaseEpochs { name, site, epochs, .. } = base;
-        let pieces = written(&name, &site, epochs, navigation).await?;
-        self.store(request, Part::Base, &name, pieces).await
+        let name = base.name.clone();
+        let mut file = self.begin(Part::Base).await?;
+        let mut text = BaseText::begin(base, navigation).await?;
+        while let Some(piece) = text.next().await? {
+            file.write(&piece).await.map_err(|error| at_part(&error, Part::Base))?;
+        }
+        add_file(request, (Part::Base, &name), file).await
     }
 
     async fn opened(&self, request: &JobRequest, plan: &Plan) -> Result<Files, Failure> {
@@ -277,7 +276,7 @@ impl Adding<'_> {
     /// The epochs of the base that is asked for, or of the nearest one that has any.
     ///
     /// # Errors
-    /// Why there are none.
+    /// No base has epochs of that time; the text says why.
     async fn base(
         &self,
         choice: BaseChoice<String>,
@@ -341,17 +340,20 @@ impl Adding<'_> {
         let limits = aiding.bases.file_limits();
         let (known, _) = offer.stored(span, age_s);
         let (mut epochs, mut site, urls) = (Vec::new(), known, files.len());
-        for ArchivedFile { url, content } in files {
+        for file in files {
             let read = move || {
-                let read = BaseFile::read(unpack_within(&content, UNPACKED_LIMIT), &limits);
-                read.map_err(|error| error.to_string())
+                let read = BaseFile::read(file.unpacked(), &limits);
+                read.map_err(|error| format!("{}: {error}", file.url))
             };
             let read = spawn_blocking(read).await.unwrap_or_else(|panic| Err(panic.to_string()));
-            let BaseFile { epochs: all, site: stated, .. } =
-                read.map_err(|error| format!("{url}: {error}"))?;
+            let BaseFile { epochs: all, site: stated, .. } = read?;
             site = site.or(stated);
             let is_wanted = |epoch: &StoredBaseEpoch| begin <= epoch.time && epoch.time <= end;
             epochs.extend(all.into_iter().filter(is_wanted));
+            if limits.bytes < epochs.iter().map(StoredBaseEpoch::size).sum() {
+                let limit = limits.bytes;
+                return Err(format!("{template}: the epochs need more than {limit} bytes"));
+            }
         }
         epochs.sort_by_key(|epoch| epoch.time);
         epochs.dedup_by_key(|epoch| epoch.time);
@@ -368,26 +370,39 @@ impl Adding<'_> {
         }))
     }
 
-    /// Stores a file and adds it to the inputs.
-    async fn store(
-        &mut self,
-        request: &mut JobRequest,
-        part: Part,
-        name: &str,
-        pieces: impl IntoIterator<Item = Vec<u8>>,
-    ) -> Result<StoredFile, Failure> {
-        let at_part =
-            |error: JobError| Failure::new(error.code(), error.to_string(), Some(part.name()));
-        let mut file = self.upload.begin_again().await.map_err(at_part)?;
-        for piece in pieces {
-            file.write(&piece).await.map_err(at_part)?;
-        }
-        let stored = file.finish().await.map_err(at_part)?;
-        let (hash, bytes) = (stored.hash.clone(), stored.bytes);
-        let name = name.to_owned();
-        request.add(JobInput { part, name, hash, bytes, is_own: true, url: None });
-        Ok(stored)
+    /// The result of work that may ask archives; `None` if the job is stopped.
+    ///
+    /// # Errors
+    /// It takes longer than the fetch of an input may.
+    async fn awaited<T>(&self, work: impl Future<Output = T>) -> Result<Option<T>, Failure> {
+        let longest = Duration::from_secs(self.desk.limits.fetch_s);
+        let done = unless_stopped(&self.running, timeout(longest, work)).await;
+        done.transpose().map_err(|_| {
+            let message = format!("the archives took longer than {} s", longest.as_secs());
+            Failure::new(Code::HostSlow, message, None)
+        })
     }
+
+    /// Begins a file of a part.
+    async fn begin(&mut self, part: Part) -> Result<ArrivingFile, Failure> {
+        self.upload.begin_again().await.map_err(|error| at_part(&error, part))
+    }
+}
+
+/// Stores a file and adds it to the inputs of a request.
+async fn add_file(
+    request: &mut JobRequest,
+    (part, name): (Part, &str),
+    file: ArrivingFile,
+) -> Result<StoredFile, Failure> {
+    let stored = file.finish().await.map_err(|error| at_part(&error, part))?;
+    let (hash, bytes, name) = (stored.hash.clone(), stored.bytes, name.to_owned());
+    request.add(JobInput { part, name, hash, bytes, is_own: true, url: None });
+    Ok(stored)
+}
+
+fn at_part(error: &JobError, part: Part) -> Failure {
+    Failure::new(error.code(), error.to_string(), Some(part.name()))
 }
 
 impl Files {
