@@ -25,7 +25,7 @@ use crate::cluster::Cluster;
 use crate::config::{
     AntennasConfiguration, BasesConfiguration, CasterConfiguration, ClusterConfiguration,
     FetchConfiguration, Limits, NavigationConfiguration, NetworkConfiguration,
-    SecretsConfiguration, ServiceConfiguration, TelemetryConfiguration,
+    SecretsConfiguration, ServiceConfiguration,
 };
 use crate::contract::nodes::Nodes;
 use crate::contract::{Service, WebOrigins};
@@ -44,7 +44,7 @@ use crate::secrets::{Secrets, SecretsError, SecretsKey};
 use crate::session::{SessionLimits, Sessions};
 use crate::store::{DatabaseSetting, Store};
 use crate::tls::{ClientFiles, ClientTls, ServerTls};
-use crate::traces::{Exporter, TraceOptions, TracesError};
+use crate::traces::Exporter;
 
 pub use error::AppError;
 pub use worker::{WorkerApp, open_worker};
@@ -89,7 +89,7 @@ pub async fn open(
     let archives = NavigationArchives::new(templates, operator_connector.clone());
     let node = node_name(configuration);
     let secrets = secrets(&configuration.secrets)?;
-    let exporter = exporter(&configuration.telemetry, &node)?;
+    let exporter = Exporter::start(&configuration.telemetry, &node)?;
     let store = open_store(database, &node, &configuration.cluster, secrets).await?;
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
@@ -194,21 +194,6 @@ async fn open_store(
         return Err(error);
     }
     Ok(store)
-}
-
-/// What sends traces, if the configuration names a collector.
-fn exporter(
-    configuration: &TelemetryConfiguration,
-    node: &str,
-) -> Result<Option<Exporter>, TracesError> {
-    let TelemetryConfiguration { otlp_endpoint, otlp_ca_file, otlp_ratio } = configuration.clone();
-    let options = otlp_endpoint.map(|endpoint| TraceOptions {
-        endpoint,
-        ca_file: otlp_ca_file,
-        ratio: otlp_ratio,
-        node: node.to_owned(),
-    });
-    options.map(Exporter::start).transpose()
 }
 
 /// Encrypts the stored secrets with the key in force, or warns that they are not.

@@ -94,7 +94,7 @@ pub(super) struct ServeArguments {
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_GEOID_FILE")]
     geoid: Option<PathBuf>,
     /// Send traces of requests to a collector that takes OTLP over gRPC, such as
-    /// http://127.0.0.1:4317. Default: none.
+    /// http://127.0.0.1:4317, in a build with the feature otlp. Default: none.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_OTLP_ENDPOINT")]
     otlp_endpoint: Option<String>,
     /// Filter of the log, such as info or graphfix=debug.

@@ -6,6 +6,9 @@ use crate::tls::TlsError;
 /// Why no traces can be sent.
 #[derive(Debug, thiserror::Error)]
 pub enum TracesError {
+    /// This program sends no traces.
+    #[error("telemetry.otlp_endpoint is only in a build with the feature \"otlp\"")]
+    NotBuilt,
     /// The address of the collector is invalid.
     #[error("telemetry.otlp_endpoint {endpoint:?}: {why}")]
     Endpoint {
@@ -23,6 +26,7 @@ impl TracesError {
     /// The stable code.
     pub(crate) const fn code(&self) -> Code {
         match self {
+            Self::NotBuilt => Code::FeatureNotBuilt,
             Self::Endpoint { .. } => Code::TelemetryEndpointInvalid,
             Self::Tls(error) => error.code(),
         }

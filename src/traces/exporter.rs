@@ -4,6 +4,7 @@
 //! finding out, not for keeping. The log has one line when the collector fails, and one when it
 //! works again.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use hyper::Uri;
@@ -18,12 +19,15 @@ use tonic::{Request, Status};
 use tonic_prost::ProstCodec;
 
 use crate::clock::unix_ms;
+use crate::config::TelemetryConfiguration;
 use crate::tls::{ClientFiles, ClientTls};
 
 use super::otlp::{self, ExportRequest, ExportResponse};
 use super::span::EndedSpan;
-use super::{QUEUE, TraceOptions, Tracer, TracesError};
+use super::{Tracer, TracesError};
 
+/// Spans that wait for the collector.
+const QUEUE: usize = 4_096;
 /// Most spans of a message.
 const BATCH: usize = 512;
 /// Longest time that a span waits for others of its message.
@@ -42,23 +46,28 @@ pub(crate) struct Exporter {
 }
 
 impl Exporter {
-    /// Starts to send spans. It connects when there are some.
+    /// Starts to send the spans of a node, if the configuration names a collector. It connects when
+    /// there are some.
     ///
     /// # Errors
     /// The address or the file of authorities is invalid.
     ///
     /// # Panics
     /// Outside a tokio runtime.
-    pub(crate) fn start(options: TraceOptions) -> Result<Self, TracesError> {
-        let channel = channel(&options)?;
+    pub(crate) fn start(
+        configuration: &TelemetryConfiguration,
+        node: &str,
+    ) -> Result<Option<Self>, TracesError> {
+        let Some(endpoint) = &configuration.otlp_endpoint else { return Ok(None) };
+        let channel = channel(endpoint, configuration.otlp_ca_file.as_deref())?;
         let (sender, queue) = mpsc::channel(QUEUE);
-        let tracer = Tracer::new(sender, options.ratio);
+        let tracer = Tracer::new(sender, configuration.otlp_ratio);
         let (stop, stopped) = watch::channel(false);
         let client = tonic::client::Grpc::new(channel);
-        let (node, has_failed) = (options.node, false);
+        let (node, has_failed) = (node.to_owned(), false);
         let sending = Sending { client, tracer: tracer.clone(), node, has_failed };
         let task = tokio::spawn(sending.run(queue, stopped));
-        Ok(Self { tracer, stop, task })
+        Ok(Some(Self { tracer, stop, task }))
     }
 
     /// Begins traces whose spans are sent.
@@ -75,10 +84,9 @@ impl Exporter {
 }
 
 /// A channel to the collector, which connects when it is first used.
-fn channel(options: &TraceOptions) -> Result<Channel, TracesError> {
-    let TraceOptions { endpoint, ca_file, .. } = options;
+fn channel(endpoint: &str, ca_file: Option<&Path>) -> Result<Channel, TracesError> {
     let invalid =
-        |why: &str| TracesError::Endpoint { endpoint: endpoint.clone(), why: why.to_owned() };
+        |why: &str| TracesError::Endpoint { endpoint: endpoint.to_owned(), why: why.to_owned() };
     let uri: Uri = endpoint.parse().map_err(|_| invalid("this is not an address"))?;
     let (is_tls, port) = match uri.scheme_str() {
         Some("http") => (false, 4317),
@@ -90,7 +98,8 @@ fn channel(options: &TraceOptions) -> Result<Channel, TracesError> {
     if !matches!(uri.path(), "" | "/") {
         return Err(invalid("OTLP over gRPC has no path; name the collector's gRPC port"));
     }
-    let tls = ClientTls::new(&ClientFiles { ca: ca_file.clone(), identity: None }, b"h2")?;
+    let tls =
+        ClientTls::new(&ClientFiles { ca: ca_file.map(Path::to_owned), identity: None }, b"h2")?;
     let connector = tower::service_fn(move |_: Uri| {
         let (tls, host) = (tls.clone(), host.clone());
         async move {

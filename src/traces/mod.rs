@@ -5,44 +5,51 @@
 //! its computation and its commit. What belongs together has one trace id, which may be that of the
 //! caller (W3C Trace Context). Spans wait in a queue for `exporter`; when it is full they are
 //! counted and dropped, so a collector that is slow or gone costs memory for that queue and nothing
-//! else. Without a collector there is no `Tracer`, and nothing of this is done.
+//! else. Without a collector there is no `Tracer`, and nothing of this is done. A build without the
+//! feature `otlp` can have none.
 
+#[cfg(not(feature = "otlp"))]
+mod absent;
+#[cfg(feature = "otlp")]
 mod context;
 mod error;
+#[cfg(feature = "otlp")]
 mod exporter;
+#[cfg(feature = "otlp")]
 mod otlp;
+#[cfg(feature = "otlp")]
 mod span;
+#[cfg(feature = "otlp")]
+mod tracer;
 
-use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-
-use tokio::sync::mpsc;
 
 use crate::meters::Counter;
 
+#[cfg(not(feature = "otlp"))]
+pub(crate) use absent::{Exporter, TraceContext, TraceSpan, Tracer};
+#[cfg(feature = "otlp")]
 pub(crate) use context::TraceContext;
 pub use error::TracesError;
+#[cfg(feature = "otlp")]
 pub(crate) use exporter::Exporter;
-pub(crate) use span::{TraceSpan, Work};
+#[cfg(feature = "otlp")]
+pub(crate) use span::TraceSpan;
+#[cfg(feature = "otlp")]
+pub(crate) use tracer::Tracer;
 
-use span::EndedSpan;
-
-/// Spans that wait for the collector.
-const QUEUE: usize = 4_096;
-
-/// Where spans go, and which requests have some.
-#[derive(Clone, Debug)]
-pub(crate) struct TraceOptions {
-    /// Address of the collector, such as `http://127.0.0.1:4317`.
-    pub(crate) endpoint: String,
-    /// Authorities of the collector's certificate; `None`: Mozilla's.
-    pub(crate) ca_file: Option<PathBuf>,
-    /// Part of the requests that are traced, if their caller does not decide it; 0 to 1.
-    pub(crate) ratio: f64,
-    /// Name of this node.
-    pub(crate) node: String,
+/// What is done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Work {
+    /// A request, until the head of its answer. Its name is that of the call.
+    Request,
+    /// A push: from the mailbox of its session until it is committed.
+    Push,
+    /// The estimator computes the batch of a push.
+    Solve,
+    /// The batch of a push becomes durable.
+    Commit,
 }
 
 /// What became of the spans. Clones share it.
@@ -52,64 +59,6 @@ pub(crate) struct TraceMeters {
     pub(crate) exported: Counter,
     /// The queue was full, or the collector has not taken them.
     pub(crate) dropped: Counter,
-}
-
-/// Begins traces. Clones share the queue.
-#[derive(Clone, Debug)]
-pub(crate) struct Tracer(Arc<Shared>);
-
-#[derive(Debug)]
-struct Shared {
-    queue: mpsc::Sender<EndedSpan>,
-    meters: TraceMeters,
-    ratio: f64,
-    /// Requests that could have begun a trace.
-    asked: AtomicU64,
-}
-
-impl Tracer {
-    fn new(queue: mpsc::Sender<EndedSpan>, ratio: f64) -> Self {
-        let (meters, asked) = (TraceMeters::default(), AtomicU64::new(0));
-        Self(Arc::new(Shared { queue, meters, ratio, asked }))
-    }
-
-    /// What became of the spans.
-    pub(crate) fn meters(&self) -> &TraceMeters {
-        &self.0.meters
-    }
-
-    /// The span of work that continues a trace, or else begins one; `None` if it is not traced.
-    pub(crate) fn begin(
-        &self,
-        work: Work,
-        caller: Option<TraceContext>,
-        since: Instant,
-    ) -> Option<TraceSpan> {
-        let is_traced = caller.map_or_else(|| self.is_chosen(), |caller| caller.is_traced);
-        is_traced.then(|| TraceSpan::new(self.clone(), work, caller, since))
-    }
-
-    /// The span of work with a trace of its own, linked to what it follows from; `None` if it is
-    /// not traced. So a stream of days is no trace of days.
-    pub(crate) fn begin_linked(&self, work: Work, origin: TraceContext) -> Option<TraceSpan> {
-        let begun =
-            self.is_chosen().then(|| TraceSpan::new(self.clone(), work, None, Instant::now()));
-        begun.map(|span| span.linked(origin))
-    }
-
-    /// Whether another request without a decision of its caller is traced: evenly, so that the part
-    /// is right without chance.
-    fn is_chosen(&self) -> bool {
-        let number = self.0.asked.fetch_add(1, Ordering::Relaxed) as f64;
-        let ratio = self.0.ratio;
-        (number * ratio).floor() < ((number + 1.0) * ratio).floor()
-    }
-
-    fn end(&self, span: EndedSpan) {
-        if self.0.queue.try_send(span).is_err() {
-            self.0.meters.dropped.inc();
-        }
-    }
 }
 
 /// A request that is traced, as what it calls sees it.
@@ -132,59 +81,5 @@ impl Trace {
         }?;
         span.set("graphfix.request_id", &self.request_id);
         Some(span)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn tracer(ratio: f64, queue: usize) -> (Tracer, mpsc::Receiver<EndedSpan>) {
-        let (sender, receiver) = mpsc::channel(queue);
-        (Tracer::new(sender, ratio), receiver)
-    }
-
-    fn begun(tracer: &Tracer, caller: Option<TraceContext>) -> Option<TraceSpan> {
-        tracer.begin(Work::Request, caller, Instant::now())
-    }
-
-    #[test]
-    fn the_ratio_chooses_that_part_of_the_requests() {
-        for (ratio, chosen) in [(0.0, 0), (0.25, 250), (1.0, 1000)] {
-            let (tracer, _queue) = tracer(ratio, 1);
-            let count = (0..1000).filter(|_| begun(&tracer, None).is_some()).count();
-            assert_eq!(count, chosen, "{ratio}");
-        }
-    }
-
-    #[test]
-    fn the_caller_decides_where_it_has() {
-        let (tracer, _queue) = tracer(0.0, 8);
-        let caller = TraceContext::random();
-        let continued = begun(&tracer, Some(caller)).unwrap();
-        assert_eq!(continued.context().trace_id, caller.trace_id);
-        assert_ne!(continued.context().span_id, caller.span_id);
-        assert!(begun(&tracer, Some(TraceContext { is_traced: false, ..caller })).is_none());
-    }
-
-    #[test]
-    fn a_full_queue_drops_and_counts() {
-        let (tracer, mut queue) = tracer(1.0, 2);
-        (0..5).for_each(|_| drop(begun(&tracer, None)));
-        assert_eq!(tracer.meters().dropped.get(), 3);
-        assert_eq!((0..5).filter_map(|_| queue.try_recv().ok()).count(), 2);
-    }
-
-    #[test]
-    fn a_push_of_a_stream_has_a_trace_of_its_own() {
-        let (tracer, mut queue) = tracer(1.0, 8);
-        let (tracer, context) = (tracer.clone(), TraceContext::random());
-        let trace = Trace { tracer, context, request_id: "".into() };
-        drop((trace.push(true), trace.push(false)));
-        let [streamed, called] = [queue.try_recv().unwrap(), queue.try_recv().unwrap()];
-        assert_ne!(streamed.context.trace_id, trace.context.trace_id);
-        assert_eq!(streamed.link, Some(trace.context));
-        assert_eq!(called.context.trace_id, trace.context.trace_id);
-        assert_eq!((called.parent, called.link), (Some(trace.context.span_id), None));
     }
 }

@@ -4,7 +4,8 @@
 
 use std::time::Instant;
 
-use super::span::{EndedSpan, Work};
+use super::Work;
+use super::span::EndedSpan;
 
 /// `SPAN_KIND_INTERNAL`.
 const INTERNAL: i32 = 1;
@@ -151,10 +152,20 @@ pub(super) fn request(
     ExportRequest { resource_spans: vec![ResourceSpans { resource, scope_spans }] }
 }
 
+/// The name of a span that has none of its own.
+const fn name_of(work: Work) -> &'static str {
+    match work {
+        Work::Request => "request",
+        Work::Push => "push",
+        Work::Solve => "solve",
+        Work::Commit => "commit",
+    }
+}
+
 fn message(span: &EndedSpan, at: impl Fn(Instant) -> u64) -> Span {
     let EndedSpan { work, name, context, parent, link, begun, ended, attributes, has_failed } =
         span;
-    let name = if name.is_empty() { work.name() } else { name };
+    let name = if name.is_empty() { name_of(*work) } else { name };
     Span {
         trace_id: context.trace_id.to_be_bytes().into(),
         span_id: context.span_id.to_be_bytes().into(),

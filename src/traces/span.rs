@@ -2,35 +2,10 @@
 
 use std::time::Instant;
 
-use super::{TraceContext, Tracer};
+use super::{TraceContext, Tracer, Work};
 
 /// Most attributes of a span.
 const ATTRIBUTES: usize = 12;
-
-/// What is done.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Work {
-    /// A request, until the head of its answer. Its name is that of the call.
-    Request,
-    /// A push: from the mailbox of its session until it is committed.
-    Push,
-    /// The estimator computes the batch of a push.
-    Solve,
-    /// The batch of a push becomes durable.
-    Commit,
-}
-
-impl Work {
-    /// The name of its span, unless it has one of its own.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Request => "request",
-            Self::Push => "push",
-            Self::Solve => "solve",
-            Self::Commit => "commit",
-        }
-    }
-}
 
 /// A span that has begun. It ends when it is dropped.
 #[derive(Debug)]

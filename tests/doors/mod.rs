@@ -53,6 +53,7 @@ mod streams;
 mod strict;
 mod tenants;
 mod tls;
+#[cfg(feature = "otlp")]
 mod traces;
 mod tracks;
 mod typed;

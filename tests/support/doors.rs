@@ -8,7 +8,7 @@ use axum::http::{Request, StatusCode};
 use graphfix::app::{self, App};
 use graphfix::config::{
     AntennasConfiguration, FetchConfiguration, JobsConfiguration, Limits, SecretsConfiguration,
-    ServiceConfiguration, TelemetryConfiguration,
+    ServiceConfiguration,
 };
 use graphfix::contract::{Caller, Service};
 use graphfix::feeds::FeedOptions;
@@ -45,9 +45,11 @@ impl Doors {
     }
 
     /// With traces that go to this collector.
+    #[cfg(feature = "otlp")]
     pub(crate) async fn with_collector(endpoint: &str) -> Self {
         let otlp_endpoint = Some(endpoint.to_owned());
-        let telemetry = TelemetryConfiguration { otlp_endpoint, ..Default::default() };
+        let telemetry =
+            graphfix::config::TelemetryConfiguration { otlp_endpoint, ..Default::default() };
         let place = (tempfile::tempdir().unwrap(), None);
         let (limits, jobs) = (Limits::standard(), JobsConfiguration::standard());
         let change = |configuration| ServiceConfiguration { telemetry, ..configuration };

@@ -30,7 +30,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ("clock", &["gnss"]),
     ("config", &["gnss", "refusal"]),
     ("tls", &["refusal", "meters", "clock", "config"]),
-    ("traces", &["refusal", "meters", "clock", "tls"]),
+    ("traces", &["refusal", "meters", "clock", "config", "tls"]),
     ("secrets", &["refusal"]),
     ("snapshot", &[]),
     ("graph", &["snapshot"]),
