@@ -50,7 +50,7 @@ pub(super) async fn create(
     while let Some(mut part) = parts.next().await? {
         let name = part.name()?.to_owned();
         if name == OPTIONS {
-            let content = part.whole(OPTIONS_BYTES).await?;
+            let content = part.whole_options(OPTIONS_BYTES).await?;
             let within = |refusal: Refusal| refusal.within(OPTIONS);
             arriving.options(json(&content).map_err(within)?)?;
         } else {

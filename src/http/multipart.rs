@@ -148,16 +148,16 @@ impl Part {
         Ok(chunk)
     }
 
-    /// All its bytes.
+    /// All its bytes, which are the options of a job.
     ///
     /// # Errors
     /// It has more than `limit` bytes, or the body is malformed or breaks off.
-    pub(super) async fn whole(&mut self, limit: usize) -> Result<Bytes, Refusal> {
+    pub(super) async fn whole_options(&mut self, limit: usize) -> Result<Bytes, Refusal> {
         let mut whole = BytesMut::new();
         while let Some(chunk) = self.chunk().await? {
             if limit < whole.len() + chunk.len() {
-                let message = format!("the part has more than {limit} bytes");
-                return Err(Refusal::new(Code::JobTooLarge, message).at("options"));
+                let message = format!("the options have more than {limit} bytes");
+                return Err(Refusal::new(Code::JobOptionsTooLarge, message).at("options"));
             }
             whole.extend_from_slice(&chunk);
         }

@@ -105,6 +105,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::JobNotFound, "tests/doors/jobs.rs"),
     (Code::TooManyJobs, "tests/doors/jobs.rs"),
     (Code::JobTooLarge, "tests/doors/jobs.rs"),
+    (Code::JobOptionsTooLarge, "tests/doors/jobs.rs"),
     (Code::JobSpaceExhausted, "tests/doors/jobs.rs"),
     (Code::IdempotencyConflict, "tests/doors/jobs.rs"),
     (Code::EtagMismatch, "tests/doors/repeats.rs"),

@@ -364,7 +364,7 @@ async fn what_is_no_job_is_refused_and_leaves_nothing() {
         ),
         (with("{\"modus\": \"fgo\"}"), 400, "UNKNOWN_FIELD", Some("options.modus")),
         (with("{"), 400, "MALFORMED_BODY", Some("options")),
-        (with(&" ".repeat(70_000)), 413, "JOB_TOO_LARGE", Some("options")),
+        (with(&" ".repeat(70_000)), 413, "JOB_OPTIONS_TOO_LARGE", Some("options")),
         (cut, 400, "MALFORMED_BODY", None),
         (headless, 400, "MALFORMED_BODY", None),
         (b"no boundary".to_vec(), 400, "MALFORMED_BODY", None),

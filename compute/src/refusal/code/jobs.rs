@@ -17,6 +17,9 @@ macro_rules! jobs {
     JobTooLarge = "JOB_TOO_LARGE", TooLarge,
         "split the recording, or let the operator raise jobs.file_bytes, jobs.unpacked_bytes or \
          jobs.files";
+    /// The options of a job, as the part of a body, exceed their limit.
+    JobOptionsTooLarge = "JOB_OPTIONS_TOO_LARGE", TooLarge,
+        "name fewer files in uploads and urls, and leave out options that are the default";
     /// The files of all jobs need more space than allowed.
     JobSpaceExhausted = "JOB_SPACE_EXHAUSTED", Exhausted,
         "send the same request when older jobs have expired, or let the operator raise \
