@@ -11,9 +11,8 @@ use tokio::time::Instant;
 
 use crate::contract::{convert, v1};
 use crate::formats::decompress;
-use crate::formats::observations::FileFormat;
-use crate::formats::rinex::ObservationReader;
-use crate::gnss::{Epoch, GpsTime};
+use crate::formats::observations::{FileError, FileFormat, Observations, Recognised};
+use crate::gnss::{Epoch, GpsTime, Navigation};
 use crate::refusal::Code;
 
 use super::Failure;
@@ -120,6 +119,9 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
         }
     }
     progress.close();
+    if let Some(rover) = &rover {
+        rover.report();
+    }
     Ok(())
 }
 
@@ -131,7 +133,7 @@ fn send(device: &mut DeviceStream<Epochs>, epochs: Vec<v1::Epoch>, due: Instant)
 
 /// The observation file with numbered epochs.
 struct Rover {
-    reader: ObservationReader<Box<dyn std::io::BufRead + Send>>,
+    reader: Observations<Box<dyn std::io::BufRead + Send>>,
     path: PathBuf,
     seq: u64,
     epoch: Epoch,
@@ -145,7 +147,7 @@ impl Rover {
         })?;
         let input: Box<dyn std::io::BufRead + Send> =
             Box::new(decompress(BufReader::with_capacity(1 << 16, file)));
-        let reader = ObservationReader::new(input);
+        let reader = Observations::new(Recognised::new(input), None, &Navigation::default());
         let reader = reader.map_err(|error| unreadable(path, &error))?;
         let epoch = Epoch::new(GpsTime::EPOCH);
         Ok(Self { reader, path: path.to_owned(), seq: 0, epoch })
@@ -221,6 +223,14 @@ impl Rover {
         Ok(batch)
     }
 
+    /// Says what was left out of the file: parts that cannot be read, and what is missing where its
+    /// gzip stream ends early.
+    fn report(&self) {
+        for line in self.reader.left_out().to_string().lines() {
+            eprintln!("{}: {line}", self.path.display());
+        }
+    }
+
     fn skip_through(&mut self, seq: u64, progress: &mut Progress) -> Result<(), Failure> {
         while self.seq < seq && self.next()?.is_some() {
             progress.skipped += 1;
@@ -229,6 +239,10 @@ impl Rover {
     }
 }
 
-fn unreadable(path: &Path, error: &crate::formats::rinex::RinexError) -> Failure {
-    Failure::of(error.code(), format!("{}: {error}", path.display()))
+fn unreadable(path: &Path, error: &FileError) -> Failure {
+    let code = match error {
+        FileError::Rinex(error) => error.code(),
+        _ => Code::RinexReadFailed,
+    };
+    Failure::of(code, format!("{}: {error}", path.display()))
 }

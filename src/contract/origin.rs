@@ -5,7 +5,7 @@ use crate::aiding::bases::{BaseEpochRefusal, BaseFileError};
 use crate::config::{ConfigError, PositioningOptions};
 use crate::feeds::FetchError;
 use crate::formats::rinex::RinexError;
-use crate::formats::{UnpackError, unpack_error};
+use crate::formats::{GunzipError, UnpackError, unpack_error};
 use crate::jobs::JobError;
 use crate::keys::KeyError;
 use crate::quotas::QuotaError;
@@ -58,12 +58,13 @@ impl From<UnpackError> for Refusal {
 
 impl From<&RinexError> for Refusal {
     fn from(error: &RinexError) -> Self {
-        if let RinexError::ReadFailed { line, source } = error
-            && let Some(unpacking) = unpack_error(source)
-        {
-            return Self::from(unpacking).on_line(*line);
+        let refusal = Self::new(error.code(), error.to_string()).on_line(error.line());
+        let RinexError::ReadFailed { line, source } = error else { return refusal };
+        match (unpack_error(source), GunzipError::of(source)) {
+            (Some(unpacking), _) => Self::from(unpacking).on_line(*line),
+            (None, Some(damage)) => refusal.on_byte(damage.offset),
+            (None, None) => refusal,
         }
-        Self::new(error.code(), error.to_string()).on_line(error.line())
     }
 }
 

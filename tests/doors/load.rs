@@ -8,7 +8,9 @@ use graphfix::grpc::v1::sessions_client::SessionsClient;
 use serde_json::Value;
 use tonic::transport::Channel;
 
+use crate::support::casters::gzip;
 use crate::support::database::{Database, on_both_databases, sqlite_url};
+use crate::support::pair::PAIR;
 use crate::support::server::{Server, free_port, opened};
 use crate::support::wait::until;
 
@@ -117,4 +119,30 @@ async fn a_stream_ends_after_a_refused_epoch() {
         text.contains(" 1 refused") && errors.contains("epoch 11 refused: OUT_OF_ORDER"),
         "{text}{errors}"
     );
+}
+
+/// A packed file that is cut off is sent up to there, and the command says so.
+#[tokio::test]
+async fn a_file_that_is_cut_off_is_streamed_up_to_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let rover = folder.path().join("rover.obs.gz");
+    let packed = gzip(&PAIR.base_file(None));
+    std::fs::write(&rover, &packed[..packed.len() / 2]).unwrap();
+    let server = Server::start(&sqlite_url(&folder.path().join("stream.db")), free_port());
+    opened(&server.channel(), None).await;
+    let mut stream = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+    stream.args(["stream", "--speed", "max", "--rover"]).arg(&rover);
+    stream.args(["--server", &format!("http://127.0.0.1:{}", server.port)]);
+    let mut child = stream.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let ended = async || child.try_wait().unwrap().is_some();
+    until("the end of the stream", ended, |ended| *ended).await;
+    let output = child.wait_with_output().unwrap();
+    let (text, errors) =
+        (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.success() && text.contains(" epochs acknowledged"), "{text}{errors}");
+    let cut = errors.lines().any(|line| {
+        line.contains("rover.obs.gz: the gzip stream is cut off after ")
+            && line.ends_with(" unpacked bytes: what follows is missing")
+    });
+    assert!(cut, "{errors}");
 }

@@ -15,6 +15,15 @@ const BLOCK_BYTES: usize = 1 << 16;
 pub struct GunzipError {
     /// What is wrong with the data.
     pub why: String,
+    /// Number of packed bytes before it is found.
+    pub offset: u64,
+}
+
+impl GunzipError {
+    /// The error of the gzip data that an error of a reader reports; `None` for other errors.
+    pub fn of(error: &Error) -> Option<&Self> {
+        error.get_ref()?.downcast_ref()
+    }
 }
 
 /// Unpacks gzip data as it arrives, one member after another.
@@ -26,12 +35,14 @@ pub(crate) struct Gunzip {
     member: Decompress,
     /// Whether no byte of the next member has arrived.
     is_between: bool,
+    /// Number of packed bytes so far.
+    taken: u64,
 }
 
 impl Gunzip {
     /// A decoder before the first byte.
     pub(crate) fn new() -> Self {
-        Self { member: Decompress::new_gzip(WINDOW_BITS), is_between: true }
+        Self { member: Decompress::new_gzip(WINDOW_BITS), is_between: true, taken: 0 }
     }
 
     /// Unpacks the next bytes and passes the output to `take`, in blocks of up to 64 kB.
@@ -63,12 +74,13 @@ impl Gunzip {
     /// some.
     fn step(&mut self, packed: &[u8], block: &mut [u8]) -> Step {
         if self.is_between {
-            *self = Self { is_between: false, ..Self::new() };
+            *self = Self { is_between: false, taken: self.taken, ..Self::new() };
         }
         let (bytes_in, bytes_out) = (self.member.total_in(), self.member.total_out());
         let status = self.member.decompress(packed, block, FlushDecompress::None);
         let read = (self.member.total_in() - bytes_in) as usize;
         let written = (self.member.total_out() - bytes_out) as usize;
+        self.taken += read as u64;
         let outcome = match status {
             Ok(status) => {
                 self.is_between = status == Status::StreamEnd;
@@ -78,7 +90,8 @@ impl Gunzip {
             }
             Err(error) => Err(error.to_string()),
         };
-        Step { read, written, outcome: outcome.map_err(|why| GunzipError { why }) }
+        let outcome = outcome.map_err(|why| GunzipError { why, offset: self.taken });
+        Step { read, written, outcome }
     }
 
     /// Whether the data so far ends at the end of a member.
@@ -136,7 +149,8 @@ impl<R: BufRead> GunzipReader<R> {
             self.failure = Some((ErrorKind::InvalidData, error));
         } else if is_end && written == 0 && !self.gunzip.is_whole() {
             let why = "the data are cut off".to_owned();
-            self.failure = Some((ErrorKind::UnexpectedEof, GunzipError { why }));
+            let cut = GunzipError { why, offset: self.gunzip.taken };
+            self.failure = Some((ErrorKind::UnexpectedEof, cut));
         }
         Ok(true)
     }

@@ -30,6 +30,7 @@ mod unpack;
 
 use std::io::{BufRead, Chain, Cursor, Read, Result};
 
+pub use damage::{DamageReport, GzipDamage, WholeLines};
 pub(crate) use gunzip::Gunzip;
 use gunzip::GunzipReader;
 pub use gunzip::{GunzipError, read_block};

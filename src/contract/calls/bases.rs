@@ -9,14 +9,13 @@ use crate::aiding::bases::{
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
 use crate::contract::{Caller, Refusal, convert, texts, v1};
-use crate::formats::unpack_within;
 use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
 use super::paging::Pages;
 use super::positioning::{Numbered, epochs};
-use super::upload::{read_file, skipped_entry};
+use super::upload::{read_file, read_text};
 use super::{base_id, named_request, named_request_by, page_size, timestamp, utc};
 
 /// Bases on a page if the request gives no size.
@@ -167,11 +166,13 @@ pub async fn upload(
     let id = base_id(&request.base)?;
     let bytes_max = caller.limits().decompressed_bytes;
     let (content, limits) = (request.content, caller.base_file_limits());
-    let read = move || Ok(BaseFile::read(unpack_within(&content, bytes_max), &limits)?);
-    let BaseFile { epochs, site, skipped } = read_file(caller, limits.bytes, read).await?;
-    if epochs.is_empty() {
-        return Err(Refusal::new(Code::NoEpochs, "the file holds no epoch"));
+    let read = move || read_text(&content, bytes_max, |text| BaseFile::read(text, &limits));
+    let upload = read_file(caller, limits.bytes, read).await?;
+    if upload.content.epochs.is_empty() {
+        return Err(upload.blamed(Refusal::new(Code::NoEpochs, "the file holds no epoch")));
     }
+    let skipped = upload.skipped(&upload.content.skipped);
+    let BaseFile { epochs, site, .. } = upload.content;
     let push = caller.bases().upload(&id, epochs, site.as_ref()).await?;
     let refused = push.outcomes.iter().filter_map(|outcome| outcome.as_ref().err());
     let is_new = |outcome: &&Result<CommittedEpoch, BaseEpochRefusal>| {
@@ -182,7 +183,7 @@ pub async fn upload(
         new_epochs: push.outcomes.iter().filter(is_new).count() as u64,
         refused_epochs: refused.clone().count() as u64,
         first_refusal: refused.map(|r| convert::refusal(&r.clone().into())).next(),
-        skipped: skipped.entries().iter().map(skipped_entry).collect(),
+        skipped,
         warnings: warnings(&push.check),
     })
 }

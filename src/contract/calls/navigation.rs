@@ -2,10 +2,11 @@
 
 use crate::aiding::{NavigationStatus, SatelliteCoverage};
 use crate::contract::{Caller, Refusal, v1};
-use crate::formats::{rinex, unpack_within};
+use crate::formats::rinex;
+use crate::refusal::Code;
 
 use super::feeds;
-use super::upload::{read_file, skipped_entry};
+use super::upload::{read_file, read_text};
 
 /// Memory of one ephemeris of each satellite of all constellations (bytes).
 const MEMORY_OF_NUMBER: usize = 200 * 320;
@@ -28,17 +29,24 @@ async fn pushed(
     let limits = caller.limits();
     let (bytes_max, most) = (limits.decompressed_bytes, limits.ephemerides_per_satellite);
     let read = move || {
-        let text = unpack_within(&request.content, bytes_max);
-        Ok(rinex::read_navigation_within(text, most)?)
+        let upload = read_text(&request.content, bytes_max, |text| {
+            rinex::read_navigation_within(text, most)
+        })?;
+        match upload.is_cut() && upload.content.0.is_empty() {
+            true => Err(upload.blamed(Refusal::new(Code::RinexTruncated, "no ephemeris"))),
+            false => Ok(upload),
+        }
     };
-    let (navigation, skipped) = read_file(caller, most * MEMORY_OF_NUMBER, read).await?;
+    let upload = read_file(caller, most * MEMORY_OF_NUMBER, read).await?;
+    let skipped = upload.skipped(&upload.content.1);
+    let (navigation, _) = upload.content;
     let counts = caller.navigation().push(navigation).await?;
     let change = format!("{} ephemerides, {} of them new", counts.received, counts.new);
     caller.note("Navigation.Push", change).await?;
     Ok(v1::PushNavigationResponse {
         ephemerides: counts.received as u64,
         new_ephemerides: counts.new as u64,
-        skipped: skipped.entries().iter().map(skipped_entry).collect(),
+        skipped,
     })
 }
 

@@ -1,7 +1,22 @@
 //! Uploaded files: unpacked and read within limits, on few blocking threads.
+//!
+//! A file whose gzip stream is cut off is taken up to its last whole line, as one that ends there,
+//! and the answer says so. One whose gzip stream is damaged is refused: what is before the damage
+//! may have errors that nothing shows, and uploads serve every session of the tenant.
+
+use std::io::BufRead;
 
 use crate::contract::{Caller, Lease, Refusal, in_background, v1};
-use crate::formats::rinex::SkippedEntry;
+use crate::formats::rinex::{Skipped, SkippedEntry};
+use crate::formats::{GzipDamage, WholeLines, unpack_within};
+
+/// What a file gives, and where it is cut off.
+pub(super) struct Upload<T> {
+    pub(super) content: T,
+    cut: Option<GzipDamage>,
+    /// Number of bytes received.
+    bytes: u64,
+}
 
 /// Reads a file with `work` on a blocking thread, when one of the few for files is free. `bytes`
 /// is the most memory that the file's content can use.
@@ -21,8 +36,51 @@ pub(super) async fn read_file<T: Send + 'static>(
     in_background(work).await?
 }
 
+/// Reads an uploaded text of RINEX, plain or gzip, with `work`. `limit` is the most unpacked bytes.
+///
+/// # Errors
+/// Those of `work`. What is missing after a cut may be the cause: then they name the cut.
+pub(super) fn read_text<T, E: Into<Refusal>>(
+    content: &[u8],
+    limit: u64,
+    work: impl FnOnce(&mut dyn BufRead) -> Result<T, E>,
+) -> Result<Upload<T>, Refusal> {
+    let mut text = WholeLines::new(unpack_within(content, limit));
+    let (report, bytes) = (text.report(), content.len() as u64);
+    let read = work(&mut text);
+    let cut = report.get().cloned();
+    match read {
+        Ok(content) => Ok(Upload { content, cut, bytes }),
+        Err(error) => Err(Upload { content: (), cut, bytes }.blamed(error.into())),
+    }
+}
+
+impl<T> Upload<T> {
+    /// A refusal that names the cut, which may be its cause.
+    pub(super) fn blamed(&self, refusal: Refusal) -> Refusal {
+        let Some(cut) = &self.cut else { return refusal };
+        let message = format!("{}; {cut}", refusal.message);
+        Refusal { message, ..refusal }.on_byte(self.bytes)
+    }
+
+    /// Whether its gzip stream is cut off.
+    pub(super) const fn is_cut(&self) -> bool {
+        self.cut.is_some()
+    }
+
+    /// What the answer lists as skipped: records, and what is missing after a cut.
+    pub(super) fn skipped(&self, records: &Skipped) -> Vec<v1::Skipped> {
+        let cut = self.cut.iter().map(|cut| v1::Skipped {
+            what: format!("{cut}: what follows is missing"),
+            count: 1,
+            first_line: 0,
+        });
+        records.entries().iter().map(skipped_entry).chain(cut).collect()
+    }
+}
+
 /// A skipped record, as a message.
-pub(super) fn skipped_entry(entry: &SkippedEntry) -> v1::Skipped {
+fn skipped_entry(entry: &SkippedEntry) -> v1::Skipped {
     v1::Skipped {
         what: entry.reason.to_string(),
         count: entry.count,

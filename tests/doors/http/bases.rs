@@ -6,6 +6,7 @@ use graphfix::formats::rinex::write_navigation;
 use graphfix::gnss::Ecef;
 use serde_json::{Value, json};
 
+use crate::support::casters::gzip;
 use crate::support::doors::{Doors, code};
 use crate::support::pair::PAIR;
 use crate::support::reading;
@@ -171,4 +172,29 @@ async fn places_that_cannot_be_are_refused() {
         (2, 1)
     );
     assert_eq!(rest["nextPageToken"], "");
+}
+
+/// A packed file that is cut off fills a base up to there, and says so. A damaged one fills nothing.
+#[tokio::test]
+async fn a_packed_file_that_is_cut_off_fills_a_base_up_to_there() {
+    let doors = Doors::open().await;
+    let base = created(&doors, json!({"label": "roof"})).await;
+    let path = format!("/v1/bases/{base}/observations");
+    let packed = gzip(&PAIR.base_file(Some(marker())));
+    let mut damaged = packed.clone();
+    damaged[packed.len() - 8] ^= 1;
+    let (status, refused) = doors.upload(&path, damaged).await;
+    assert_eq!((status.as_u16(), code(&refused)), (400, "RINEX_READ_FAILED"), "{refused}");
+    assert!(refused["byteOffset"].is_u64(), "{refused}");
+    let (status, refused) = doors.upload(&path, packed[..12].into()).await;
+    assert_eq!((status.as_u16(), refused["byteOffset"].as_u64()), (400, Some(12)), "{refused}");
+    let (_, stored) = doors.get(&format!("/v1/bases/{base}")).await;
+    assert_eq!((&stored["epochs"], &stored["site"]), (&json!(0), &Value::Null));
+
+    let (status, answer) = doors.upload(&path, packed[..packed.len() / 2].into()).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let epochs = answer["newEpochs"].as_u64().unwrap() as usize;
+    assert!((1..PAIR.base.len()).contains(&epochs), "{answer}");
+    let cut = answer["skipped"].as_array().unwrap().last().unwrap();
+    assert!(cut["what"].as_str().unwrap().starts_with("the gzip stream is cut off"), "{answer}");
 }

@@ -85,7 +85,7 @@ macro_rules! sources {
         "convert the file to RINEX 2, 3 or 4, or CRINEX 1 or 3";
     /// The header is invalid.
     RinexHeaderInvalid = "RINEX_HEADER_INVALID", Malformed, "correct the header at the named line";
-    /// The file ends inside its header.
+    /// The file ends inside its header, or is cut off before its first ephemeris.
     RinexTruncated = "RINEX_TRUNCATED", Malformed, "fetch the file again: its end is missing";
     /// The file is compressed by another method than gzip.
     RinexCompressionUnsupported = "RINEX_COMPRESSION_UNSUPPORTED", Malformed,
