@@ -238,6 +238,8 @@ fn position(estimate: &SolutionEstimate, presented: &Presented<'_>) -> v1::Posit
         frame: presented.frame.to_owned(),
         frame_epoch_year: presented.epoch_year,
         orthometric_height_m: presented.orthometric_height_m(),
+        base_frame: presented.base_frame_name().to_owned(),
+        base_frame_epoch_year: presented.base_frame.and_then(|frame| frame.epoch_year),
     }
 }
 

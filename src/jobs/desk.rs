@@ -145,6 +145,7 @@ impl Jobs {
             bytes: uploaded.file.bytes,
             is_own: false,
             url: None,
+            frame: None,
         });
         let mut inputs: Vec<_> = inputs.collect();
         for url in &urls {

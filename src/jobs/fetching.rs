@@ -262,6 +262,6 @@ impl InputUrl {
         let name = path.rsplit('/').next().unwrap_or_default().chars().take(NAME_MAX);
         let (part, url) = (self.part, Some(self.url.clone()));
         let (name, hash) = (name.collect(), String::new());
-        Ok(JobInput { part, name, hash, bytes: 0, is_own: false, url })
+        Ok(JobInput { part, name, hash, bytes: 0, is_own: false, url, frame: None })
     }
 }

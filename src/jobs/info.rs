@@ -140,6 +140,7 @@ mod tests {
             bytes: 1000,
             is_own: false,
             url: None,
+            frame: None,
         };
         JobInfo {
             id: JobId::random(),

@@ -9,7 +9,7 @@ use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::formats::receiver::TimeReference;
 use crate::formats::track::TrackFormat;
-use crate::gnss::{Ecef, GpsTime};
+use crate::gnss::{CoordinateFrame, Ecef, GpsTime};
 use crate::recording::{AnswerKind, BasePosition};
 use crate::session::{RerunPlan, RerunRequest, SessionError, SessionId, SolveRequest};
 
@@ -65,9 +65,21 @@ pub struct JobInput {
     /// The URL that it is fetched from. Until then it has no hash.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub url: Option<String>,
+    /// The frame that a base of the service states, such as `ITRF2014@2010.0`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frame: Option<String>,
 }
 
 impl JobInput {
+    /// A line for the report on a file that the service has added.
+    pub(super) fn remark(&self) -> String {
+        let line = format!("{}: {}", self.part.name(), self.name);
+        match (self.part, self.frame.as_deref()) {
+            (Part::Base, frame) => format!("{line}, frame: {}", frame.unwrap_or("unknown")),
+            _ => line,
+        }
+    }
+
     /// Whether it is a URL whose file is to be fetched.
     pub(super) fn is_unfetched(&self) -> bool {
         self.url.is_some() && self.hash.is_empty()
@@ -173,6 +185,11 @@ impl JobRequest {
     pub(super) fn add(&mut self, input: JobInput) {
         self.inputs.push(input);
         self.inputs.sort_by_key(|input| input.part);
+    }
+
+    /// The frame that the base states which the service has added.
+    pub(super) fn frame_of_own_base(&self) -> Option<CoordinateFrame> {
+        CoordinateFrame::parse(self.input(Part::Base)?.frame.as_deref()?)
     }
 
     /// Whether there are no files of navigation data, nor a session that has its own.

@@ -181,7 +181,7 @@ impl Run {
         let hash = self.plan.options.configuration_hash();
         let mut report = Report::of(&tally, &source.provenance(), hash, seconds);
         let own = self.request.inputs.iter().filter(|input| input.is_own);
-        let added = own.map(|input| format!("{}: {}", input.part.name(), input.name));
+        let added = own.map(JobInput::remark);
         report.provenance.extend(added.chain(source.remarks()));
         if 0 < kept {
             let line = format!("the first {kept} answers are those of a run that was cut off");
@@ -313,8 +313,11 @@ impl Run {
 
     /// Begins the result.
     fn writer(&self, leap: LeapSeconds) -> Result<ResultWriter, Failure> {
-        let comments = comments_of(&self.plan.options);
-        let presentation = self.plan.options.output.presentation(self.geoid.as_ref());
+        let mut options = self.plan.options.clone();
+        let output = &mut options.output;
+        output.base_frame = output.base_frame.or_else(|| self.request.frame_of_own_base());
+        let presentation = output.presentation(self.geoid.as_ref());
+        let comments = comments_of(&options);
         self.files
             .begin_result(&self.result)
             .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))

@@ -85,6 +85,9 @@ async fn a_session_asks_for_the_etrs89_and_heights_above_the_geoid() {
         let (there, here) = (&answer["position"], &computed["position"]);
         assert_eq!((&there["frame"], &here["frame"]), (&json!("ETRF2000"), &json!("BASE")));
         assert_eq!(there["frameEpochYear"], 2010.0);
+        assert_eq!((&there["baseFrame"], &there["baseFrameEpochYear"]), (&json!(""), &json!(null)));
+        let stated = (&here["baseFrame"], &here["baseFrameEpochYear"]);
+        assert_eq!(stated, (&json!("ITRF2014"), &json!(2010.0)));
         assert_eq!(
             (&here["frameEpochYear"], &here["orthometricHeightM"]),
             (&json!(null), &json!(null))
@@ -251,6 +254,22 @@ async fn an_unknown_frame_is_not_guessed() {
     let (_, stated) = doors.post("/v1/sessions", ask(&unknown, "ETRF2000")).await;
     let stated = pushed(&doors, stated["session"].as_str().unwrap(), &MUNICH.rover).await;
     assert_eq!(ecef(&stated[3]), ecef(&computed[3]));
+    let base_frame = |solution: &Value| solution["position"]["baseFrame"].clone();
+    assert_eq!((base_frame(&computed[3]), base_frame(&stated[3])), (json!("UNKNOWN"), json!("")));
+    // The option states the frame of a base that states none, in the base's own frame, too.
+    let (_, native) = doors
+        .post("/v1/sessions", {
+            let overrides = json!({"base_frame": "NAD83(2011)@2010.0"});
+            json!({"mode": "rtk-fgo", "base": unknown, "overrides": overrides})
+        })
+        .await;
+    let native = pushed(&doors, native["session"].as_str().unwrap(), &MUNICH.rover[..1]).await;
+    let position = &native[0]["position"];
+    assert_eq!(
+        (&position["frame"], &position["baseFrame"]),
+        (&json!("BASE"), &json!("NAD83(2011)"))
+    );
+    assert_eq!(position["baseFrameEpochYear"], 2010.0);
     assert_eq!(stated[3]["position"]["frame"], "ETRF2000");
 
     let only = Doors::with_geoid(&plane()).await;

@@ -3,7 +3,7 @@
 use axum::http::StatusCode;
 use graphfix::aiding::bases::{BaseId, NewBase};
 use graphfix::config::JobsConfiguration;
-use graphfix::gnss::{BaseSite, Ecef, Epoch};
+use graphfix::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch};
 use serde_json::{Value, json};
 
 use crate::support::casters::gzip;
@@ -40,13 +40,22 @@ async fn provenance(doors: &Doors, done: &Value) -> String {
 
 /// A base of the service whose marker is at `place`, with these epochs.
 async fn stored(doors: &Doors, place: Ecef, epochs: Vec<Epoch>) -> String {
+    stored_in(doors, (place, None), epochs).await
+}
+
+/// The same, with coordinates of a frame.
+async fn stored_in(
+    doors: &Doors,
+    (place, frame): (Ecef, Option<CoordinateFrame>),
+    epochs: Vec<Epoch>,
+) -> String {
     let site = BaseSite {
         marker: place,
         antenna_delta_hen_m: [1.5, 0.0, 0.0],
         antenna: "IDEAL".to_owned(),
         ..PAIR.new_base(0.0).site.unwrap()
     };
-    let new = NewBase { site: Some(site), ..PAIR.new_base(0.0) };
+    let new = NewBase { site: Some(site), frame, ..PAIR.new_base(0.0) };
     let bases = doors.service.bases();
     let id = BaseId::parse(&bases.create(new).await.unwrap().name.id).unwrap();
     if !epochs.is_empty() {
@@ -166,6 +175,29 @@ async fn without_a_base_the_nearest_of_the_service_is_taken() {
     let (status, refused) = post(&doors, body(&parts(unknown)), &[]).await;
     let got = (status.as_u16(), code(&refused), refused["field"].as_str());
     assert_eq!(got, (404, "BASE_NOT_FOUND", Some("options.base")), "{refused}");
+}
+
+/// The result and the report say the frame that the base of the service states, or that it states
+/// none.
+#[tokio::test]
+async fn the_frame_of_an_own_base_is_said() {
+    let doors = doors().await;
+    let (rover, navigation) = (PAIR.rover_file(), navigation_of(&PAIR));
+    for (frame, of_report, of_result) in [
+        ("", "unknown", "that of the base, which is not stated here"),
+        ("ITRF2014@2010.0", "ITRF2014@2010.0", "ITRF2014@2010.0, which the base states"),
+    ] {
+        let place = (PAIR.position, CoordinateFrame::parse(frame));
+        let base = stored_in(&doors, place, PAIR.base.clone()).await;
+        let options = json!({"base": base, "format": "pos"}).to_string();
+        let parts =
+            [("rover", &rover[..]), ("navigation", &navigation), ("options", options.as_bytes())];
+        let done = done(&doors, &parts).await;
+        let head = String::from_utf8(result(&doors, &done).await).unwrap();
+        assert!(head.contains(&format!("% frame     : {of_result}\n")), "{}", &head[..500]);
+        let said = provenance(&doors, &done).await;
+        assert!(said.contains(&format!("its stored epochs, frame: {of_report}")), "{said}");
+    }
 }
 
 /// An archive fills the base, and no rover has needed it: its file is fetched for the job, by a

@@ -19,6 +19,8 @@ use super::{CoordinateFrame, FrameRefusal, Geoid, Solution};
 const BROADCAST_FRAME: &str = "WGS84";
 /// The frame of positions relative to a base.
 const BASE_FRAME: &str = "BASE";
+/// The frame of a base that states none.
+const UNKNOWN_FRAME: &str = "UNKNOWN";
 
 /// How solutions are presented. The default: as they are computed.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -40,6 +42,8 @@ pub struct Presented<'a> {
     pub frame: &'static str,
     /// The epoch of its position (decimal year), if a frame was asked for.
     pub epoch_year: Option<f64>,
+    /// The frame that the base states, if the position is in the base's.
+    pub base_frame: Option<CoordinateFrame>,
     /// Height of the geoid above the ellipsoid at the position (m), if it is asked for and known.
     pub geoid_height_m: Option<f64>,
     /// Why the position is not in the frame that is asked for.
@@ -55,8 +59,18 @@ impl<'a> Presented<'a> {
             solution: Cow::Borrowed(solution),
             frame: if is_relative { BASE_FRAME } else { BROADCAST_FRAME },
             epoch_year: None,
+            base_frame: None,
             geoid_height_m: None,
             refusal: None,
+        }
+    }
+
+    /// Name of the frame that the base states, in the API's words; empty if the position is not in
+    /// the base's frame.
+    pub fn base_frame_name(&self) -> &'static str {
+        match (self.frame, self.base_frame) {
+            (BASE_FRAME, stated) => stated.map_or(UNKNOWN_FRAME, |frame| frame.name),
+            _ => "",
         }
     }
 
@@ -102,46 +116,45 @@ impl Presentation {
         solution: &'a Solution,
         base_frame: impl FnOnce(&str) -> Option<CoordinateFrame>,
     ) -> Presented<'a> {
-        let computed = Presented::as_computed(solution);
-        let mut presented =
-            if self.etrs89 { self.in_etrs89(computed, base_frame) } else { computed };
+        let mut computed = Presented::as_computed(solution);
+        if computed.frame == BASE_FRAME {
+            let base = solution.provenance.base.as_ref();
+            let stated = base.and_then(|used| base_frame(&used.base));
+            computed.base_frame = stated.or(self.base_frame);
+        }
+        let mut presented = if self.etrs89 { in_etrs89(computed) } else { computed };
         if let (Some(geoid), Some(estimate)) = (&self.geoid, &presented.solution.estimate) {
             presented.geoid_height_m = geoid.height_m(&estimate.position.to_geodetic());
         }
         presented
     }
+}
 
-    fn in_etrs89<'a>(
-        &self,
-        computed: Presented<'a>,
-        base_frame: impl FnOnce(&str) -> Option<CoordinateFrame>,
-    ) -> Presented<'a> {
-        let solution = &computed.solution;
-        let Some(estimate) = &solution.estimate else { return computed };
-        let from = match &estimate.relative {
-            None => Some(CoordinateFrame {
-                name: BROADCAST_FRAME,
-                epoch_year: Some(solution.time.decimal_year()),
-            }),
-            Some(_) => {
-                let base = solution.provenance.base.as_ref();
-                base.and_then(|used| base_frame(&used.base)).or(self.base_frame)
+/// A computed solution with its position in the ETRS89.
+fn in_etrs89(computed: Presented<'_>) -> Presented<'_> {
+    let solution = &computed.solution;
+    let Some(estimate) = &solution.estimate else { return computed };
+    let from = match &estimate.relative {
+        None => {
+            let epoch_year = Some(solution.time.decimal_year());
+            Some(CoordinateFrame { name: BROADCAST_FRAME, epoch_year })
+        }
+        Some(_) => computed.base_frame,
+    };
+    match to_etrs89(estimate.position, from) {
+        Err(refusal) => Presented { refusal: Some(refusal), ..computed },
+        Ok((position, CoordinateFrame { name, epoch_year })) => {
+            let mut solution = computed.solution.into_owned();
+            if let Some(estimate) = &mut solution.estimate {
+                estimate.position = position;
             }
-        };
-        match to_etrs89(estimate.position, from) {
-            Err(refusal) => Presented { refusal: Some(refusal), ..computed },
-            Ok((position, CoordinateFrame { name, epoch_year })) => {
-                let mut solution = computed.solution.into_owned();
-                if let Some(estimate) = &mut solution.estimate {
-                    estimate.position = position;
-                }
-                Presented {
-                    solution: Cow::Owned(solution),
-                    frame: name,
-                    epoch_year,
-                    geoid_height_m: None,
-                    refusal: None,
-                }
+            Presented {
+                solution: Cow::Owned(solution),
+                frame: name,
+                epoch_year,
+                base_frame: None,
+                geoid_height_m: None,
+                refusal: None,
             }
         }
     }
@@ -203,13 +216,32 @@ mod tests {
 
     #[test]
     fn without_a_request_nothing_changes() {
-        for base in [None, Some("bas_1")] {
+        for (base, frame, of_base) in [(None, "WGS84", ""), (Some("bas_1"), "BASE", "UNKNOWN")] {
             let solution = solution(base);
-            let presented = Presentation::default().present(&solution, |_| unreachable!());
+            let presented = Presentation::default().present(&solution, |_| None);
             assert_eq!(presented, Presented::as_computed(&solution));
             assert!(matches!(presented.solution, Cow::Borrowed(_)));
-            assert_eq!(presented.frame, if base.is_some() { "BASE" } else { "WGS84" });
+            assert_eq!((presented.frame, presented.base_frame_name()), (frame, of_base));
         }
+    }
+
+    /// The base's own statement counts before what is stated for all bases.
+    #[test]
+    fn a_position_relative_to_a_base_says_the_frame_that_the_base_states() {
+        let (stated, for_all) = (CoordinateFrame::parse("ITRF2014@2010.0"), "NAD83(2011)");
+        let presentation =
+            Presentation { base_frame: CoordinateFrame::parse(for_all), ..Presentation::default() };
+        let solution = solution(Some("bas_1"));
+        let presented = presentation.present(&solution, |base| stated.filter(|_| base == "bas_1"));
+        assert_eq!((presented.frame, presented.base_frame_name()), ("BASE", "ITRF2014"));
+        assert_eq!((presented.epoch_year, presented.base_frame), (None, stated));
+        let presented = presentation.present(&solution, |_| None);
+        assert_eq!(presented.base_frame_name(), for_all);
+        // In another frame than the base's there is none.
+        let presented = etrs89().present(&solution, |_| stated);
+        assert_eq!((presented.frame, presented.base_frame_name()), ("ETRF2000", ""));
+        let refused = etrs89().present(&solution, |_| CoordinateFrame::parse("GDA94"));
+        assert_eq!((refused.frame, refused.base_frame_name()), ("BASE", "GDA94"));
     }
 
     /// In 2020.5 the plate is 31.5 years of some 2.5 cm away from 1989.

@@ -7,14 +7,14 @@ use crate::config::PositioningOptions;
 use crate::formats::track::{TrackFormat, TrackWriter};
 use crate::gnss::{FrameRefusal, LeapSeconds, Presentation, Solution, Status};
 
-/// Lines at the head of a solution file: what computed it, and the frame if one was asked for.
+/// Lines at the head of a solution file: what computed it, and the frame of its positions.
 pub fn comments_of(options: &PositioningOptions) -> Vec<String> {
-    let lines = [
+    vec![
         format!("program   : graphfix {}", env!("CARGO_PKG_VERSION")),
         format!("mode      : {}, profile {}", options.mode.name(), options.profile.name()),
         format!("options   : {}", options.configuration_hash()),
-    ];
-    lines.into_iter().chain(options.output.comment()).collect()
+        options.output.frame_comment(options.mode.is_relative()),
+    ]
 }
 
 /// A solution file that is being written.
@@ -51,7 +51,7 @@ impl<W: Write> SolutionWriter<W> {
     /// # Errors
     /// The output fails.
     pub fn write(&mut self, solution: &Solution) -> io::Result<Option<FrameRefusal>> {
-        // The base of a recording has a name, and no frame but that of the options.
+        // The base of a recording has no frame but that of the options.
         let presented = self.presentation.present(solution, |_| None);
         let refusal = presented.refusal;
         self.writer.push(presented, None, &mut self.buffer);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::aiding::AidingError;
-use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime};
+use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime};
 use crate::positioning::{BASE_LATER_S, BasePositionVerdict};
 use crate::store::{BaseChoice, StoredBaseEpoch};
 use crate::tenant::Tenant;
@@ -64,6 +64,11 @@ impl PastBase {
     /// Its id.
     pub(crate) fn id(&self) -> &str {
         &self.base.name().id
+    }
+
+    /// The frame of its coordinates, if it is known.
+    pub(crate) fn frame(&self) -> Option<CoordinateFrame> {
+        self.base.description.frame
     }
 
     /// To whom it belongs.

@@ -5,7 +5,7 @@ use std::vec::IntoIter;
 
 use crate::aiding::bases::PastBase;
 use crate::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
-use crate::gnss::{BaseSite, GpsTime, Navigation};
+use crate::gnss::{BaseSite, CoordinateFrame, GpsTime, Navigation};
 use crate::jobs::Failure;
 use crate::refusal::Code;
 use crate::store::StoredBaseEpoch;
@@ -21,6 +21,8 @@ pub(super) struct BaseEpochs {
     pub(super) site: BaseSite,
     pub(super) epochs: Vec<StoredBaseEpoch>,
     pub(super) is_of_archive: bool,
+    /// The frame that the base states.
+    pub(super) frame: Option<CoordinateFrame>,
 }
 
 /// Whether a base has epochs from the begin to the end of a span.

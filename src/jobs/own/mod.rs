@@ -186,13 +186,17 @@ impl Adding<'_> {
         base: BaseEpochs,
         navigation: &Navigation,
     ) -> Result<StoredFile, Failure> {
-        let name = base.name.clone();
+        let (name, frame) = (base.name.clone(), base.frame);
         let mut file = self.begin(Part::Base).await?;
         let mut text = BaseText::begin(base, navigation).await?;
         while let Some(piece) = text.next().await? {
             file.write(&piece).await.map_err(|error| at_part(&error, Part::Base))?;
         }
-        add_file(request, (Part::Base, &name), file).await
+        let stored = add_file(request, (Part::Base, &name), file).await?;
+        for added in request.inputs.iter_mut().filter(|input| input.part == Part::Base) {
+            added.frame = frame.map(|frame| frame.to_string());
+        }
+        Ok(stored)
     }
 
     async fn opened(&self, request: &JobRequest, plan: &Plan) -> Result<Files, Failure> {
@@ -296,7 +300,8 @@ impl Adding<'_> {
             let is_whole = covers(&epochs, span, age_s);
             if let Some(site) = site.filter(|_| !epochs.is_empty()) {
                 let name = named(offer, "its stored epochs");
-                let found = BaseEpochs { name, site, epochs, is_of_archive: false };
+                let found =
+                    BaseEpochs { frame: offer.frame(), name, site, epochs, is_of_archive: false };
                 if is_whole {
                     return Ok(found);
                 }
@@ -367,6 +372,7 @@ impl Adding<'_> {
             site,
             epochs,
             is_of_archive: true,
+            frame: offer.frame(),
         }))
     }
 
@@ -397,7 +403,7 @@ async fn add_file(
 ) -> Result<StoredFile, Failure> {
     let stored = file.finish().await.map_err(|error| at_part(&error, part))?;
     let (hash, bytes, name) = (stored.hash.clone(), stored.bytes, name.to_owned());
-    request.add(JobInput { part, name, hash, bytes, is_own: true, url: None });
+    request.add(JobInput { part, name, hash, bytes, is_own: true, url: None, frame: None });
     Ok(stored)
 }
 
