@@ -118,6 +118,7 @@ pub const CALLS: &[Call] = &[
     call("", "DELETE /v1/uploads/{upload}", &[Operate]),
     call("Keys/Create", "POST /v1/keys", &[Admin]).act("Keys.Create"),
     call("Keys/List", "GET /v1/keys", &[Admin]),
+    call("Keys/Get", "GET /v1/keys/{key}", &[Admin]),
     call("Keys/Revoke", "DELETE /v1/keys/{key}", &[Admin]).act("Keys.Revoke"),
     call("Tenants/Get", "GET /v1/tenants/{tenant}", &[Read, Admin]),
     call("Tenants/List", "GET /v1/tenants", &[Read, Admin]),

@@ -23,6 +23,10 @@ impl Keys for Door {
         carry(calls::keys::list(&self.0.caller()?, request.into_inner()).await)
     }
 
+    async fn get(&self, request: Request<v1::GetKeyRequest>) -> Result<Response<v1::Key>, Status> {
+        carry(calls::keys::get(&self.0.caller()?, request.into_inner()).await)
+    }
+
     async fn revoke(
         &self,
         request: Request<v1::RevokeKeyRequest>,

@@ -33,7 +33,7 @@ pub(super) struct KeysQuery {
     path = "/v1/keys", tag = "Keys",
     request_body = v1::CreateKeyRequest,
     responses((status = 201, description = "The key with its secret", body = v1::CreateKeyResponse,
-        headers(("Location" = String, description = "Path of the key, for DELETE"))), Refused))]
+        headers(("Location" = String, description = "Path of the key"))), Refused))]
 pub(super) async fn create(
     caller: Caller,
     JsonBody(request): JsonBody<v1::CreateKeyRequest>,
@@ -56,6 +56,16 @@ pub(super) async fn list(
     let KeysQuery { page_size, page_token, tenant } = query;
     let request = v1::ListKeysRequest { page_size, page_token, tenant };
     Ok(Json(calls::keys::list(&caller, request).await?))
+}
+
+/// Returns a key, also one that is revoked or has expired; the operator finds those of every tenant.
+#[utoipa::path(get, operation_id = "keysGet",
+    path = "/v1/keys/{key}", tag = "Keys",
+    params(("key" = String, Path, description = "Its id")),
+    responses((status = 200, description = "The key, without its secret", body = v1::Key),
+        Refused))]
+pub(super) async fn get(caller: Caller, Path(key): Path<String>) -> Result<Json<v1::Key>, Refused> {
+    Ok(Json(calls::keys::get(&caller, v1::GetKeyRequest { key }).await?))
 }
 
 /// Revokes a key. Calls with it are refused, and its open watches end within a second.

@@ -44,7 +44,7 @@ mod unread;
 mod uploads;
 mod watch;
 
-use axum::routing::{delete, get, post};
+use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::decompression::RequestDecompressionLayer;
@@ -122,7 +122,7 @@ fn controls() -> Router<Service> {
         .route("/v1/jobs/{job}/deliveries", get(jobs::deliveries))
         .merge(uploads())
         .route("/v1/keys", get(keys::list).post(keys::create))
-        .route("/v1/keys/{key}", delete(keys::revoke))
+        .route("/v1/keys/{key}", get(keys::get).delete(keys::revoke))
         .route("/v1/tenants", get(tenants::list))
         .route("/v1/tenants/{tenant}", get(tenants::get).put(tenants::set))
         .route("/v1/audit", get(audit::list))

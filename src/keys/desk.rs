@@ -193,6 +193,14 @@ impl Keys {
         self.0.registry.list(Some(tenant), page_size, page_token).await
     }
 
+    /// A key of a tenant, or of any.
+    ///
+    /// # Errors
+    /// No key of the tenant has this id, or the store fails.
+    pub async fn get(&self, tenant: Option<&Tenant>, id: &str) -> Result<KeyInfo, KeyError> {
+        self.0.registry.get(tenant, id).await
+    }
+
     /// Revokes a key of a tenant, or of any, at once, as an act of `author`.
     ///
     /// # Errors

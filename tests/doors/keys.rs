@@ -324,6 +324,44 @@ async fn a_key_opens_what_its_rights_allow(database: Database) {
     assert_eq!(by_rest["keys"], json!(listed));
     let text = by_rest.to_string();
     assert!(!text.contains(&reader.secret[4..]), "the secret is shown once");
+
+    let one = keys.get(v1::GetKeyRequest { key: reader.id.clone() }).await.unwrap().into_inner();
+    assert_eq!(one, listed[0]);
+    let path = format!("/v1/keys/{}", reader.id);
+    let (status, by_rest) = asked(&doors, Some(&admin), "GET", &path, json!(null)).await;
+    assert_eq!((status, by_rest), (StatusCode::OK, json!(one)));
+    let (_, refused) = asked(&doors, Some(&reader), "GET", &path, json!(null)).await;
+    assert_eq!(code(&refused), "RIGHT_MISSING");
+    assert_eq!(asked(&doors, Some(&admin), "DELETE", &path, json!(null)).await.0, StatusCode::OK);
+    let (_, revoked) = asked(&doors, Some(&admin), "GET", &path, json!(null)).await;
+    assert!(revoked["revokedUtc"].is_string(), "{revoked}");
+}
+
+/// A key is found by its id in its tenant only, and by the operator. That of another tenant is not
+/// found, as one that does not exist.
+#[tokio::test]
+async fn a_key_is_found_in_its_tenant_and_by_the_operator() {
+    let doors = Doors::open().await;
+    let operator = first_key(&doors).await;
+    let of_tenant = json!({"rights": ["admin"], "tenant": "mowers"});
+    let mower = created(&doors, Some(&operator), of_tenant).await;
+    let found = async |by: &Key, id: &str| {
+        asked(&doors, Some(by), "GET", &format!("/v1/keys/{id}"), json!(null)).await
+    };
+    for by in [&mower, &operator] {
+        let (status, key) = found(by, &mower.id).await;
+        assert_eq!((status, &key["tenant"]), (StatusCode::OK, &json!("mowers")), "{key}");
+    }
+    let unknown = format!("key_{}", "0".repeat(32));
+    for id in [&*operator.id, &unknown, "key"] {
+        let (status, refused) = found(&mower, id).await;
+        assert_eq!((status.as_u16(), code(&refused)), (404, "KEY_NOT_FOUND"), "{id}");
+        let detail = refused["detail"].as_str().unwrap().replace(id, "ID");
+        assert_eq!(
+            detail,
+            found(&mower, &unknown).await.1["detail"].as_str().unwrap().replace(&unknown, "ID")
+        );
+    }
 }
 
 /// An open stream and both watches of a key.

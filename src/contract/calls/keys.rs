@@ -64,6 +64,16 @@ pub async fn list(
     })
 }
 
+/// A key, also one that is revoked or has expired. The operator finds those of every tenant.
+///
+/// # Errors
+/// The tenant has no such key, or the store fails.
+pub async fn get(caller: &Caller, request: v1::GetKeyRequest) -> Result<v1::Key, Refusal> {
+    texts::check("key", &request.key, texts::NAME_MAX)?;
+    let key = caller.keys().get(visible_tenant(caller), &request.key).await?;
+    Ok(message(key))
+}
+
 /// Revokes a key.
 ///
 /// # Errors
@@ -74,10 +84,15 @@ pub async fn revoke(caller: &Caller, request: v1::RevokeKeyRequest) -> Result<v1
 
 async fn revoked(caller: &Caller, request: &v1::RevokeKeyRequest) -> Result<v1::Key, Refusal> {
     texts::check("key", &request.key, texts::NAME_MAX)?;
-    let tenant = Some(caller.tenant()).filter(|tenant| !tenant.is_operator());
+    let tenant = visible_tenant(caller);
     let key = caller.keys().revoke(tenant, &request.key, &caller.author()).await?;
     tracing::info!(key = key.id, tenant = %key.tenant, by = caller.key(), "a key is revoked");
     Ok(message(key))
+}
+
+/// The tenant whose keys the caller finds by their ids; `None` for all tenants, as the operator.
+fn visible_tenant(caller: &Caller) -> Option<&Tenant> {
+    Some(caller.tenant()).filter(|tenant| !tenant.is_operator())
 }
 
 /// The tenant of a name; the caller's if it is empty.

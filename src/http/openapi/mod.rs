@@ -97,6 +97,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         uploads::remove,
         keys::create,
         keys::list,
+        keys::get,
         keys::revoke,
         tenants::get,
         tenants::list,

@@ -424,6 +424,9 @@ fn keys(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
             }
             requests
         }
+        "Keys/Get" => {
+            both!(call, v1::GetKeyRequest, format!("/v1/keys/{key}"), json!({"key": key}), none)
+        }
         "Keys/Revoke" => {
             both!(call, v1::RevokeKeyRequest, format!("/v1/keys/{key}"), json!({"key": key}), none)
         }
