@@ -28,7 +28,7 @@ type OfTenants = Family<[(&'static str, String); 1], Gauge<f64, AtomicU64>>;
 type Budget = fn(&Meter) -> (Option<f64>, Option<f64>);
 
 /// The quotas that meters of tenants measure.
-const BUDGETS: [(&str, &str, Budget); 4] = [
+const BUDGETS: [(&str, &str, Budget); 5] = [
     ("tenant_epochs_per_second", "Epochs a second of a tenant, over ten seconds", |meter| {
         (Some(meter.rates().epochs_per_s), meter.quotas().epochs_per_s)
     }),
@@ -43,6 +43,10 @@ const BUDGETS: [(&str, &str, Budget); 4] = [
         let number = |bytes: u64| bytes as f64;
         let stored = meter.stored().map(|stored| number(stored.stored_bytes));
         (stored, meter.quotas().stored_bytes.map(number))
+    }),
+    ("tenant_job_bytes", "Bytes of files of a tenant's jobs, if it has a quota of them", |meter| {
+        let number = |bytes: u64| bytes as f64;
+        (meter.job_bytes().map(number), meter.quotas().job_bytes.map(number))
     }),
 ];
 

@@ -86,10 +86,7 @@ impl Meters {
         for row in store.changed_tenants(self.0.changed.load(Ordering::Acquire)).await? {
             self.of(&row.tenant).set(row.quotas);
             self.0.changed.fetch_max(row.changed, Ordering::AcqRel);
-            if row.quotas.is_of_stored() {
-                let stored = store.tenant_use(&row.tenant).await?;
-                self.of(&row.tenant).set_stored(stored);
-            }
+            count(store, &self.of(&row.tenant)).await?;
         }
         Ok(())
     }
@@ -201,13 +198,23 @@ async fn keep(store: Store, meters: Meters) {
         };
         if is_current && COUNT_INTERVAL <= counted.elapsed() {
             counted = Instant::now();
-            let is_counted = |meter: &Arc<Meter>| meter.quotas().is_of_stored();
-            for meter in meters.all().into_iter().filter(is_counted) {
-                match store.tenant_use(meter.tenant()).await {
-                    Ok(stored) => meter.set_stored(stored),
-                    Err(error) => tracing::warn!(%error, "the bytes of a tenant are not counted"),
+            for meter in meters.all() {
+                if let Err(error) = count(&store, &meter).await {
+                    tracing::warn!(%error, "the bytes of a tenant are not counted");
                 }
             }
         }
     }
+}
+
+/// Counts in the store what a tenant has of that for which it has a quota.
+async fn count(store: &Store, meter: &Meter) -> Result<(), StoreError> {
+    let quotas = meter.quotas();
+    if quotas.is_of_stored() {
+        meter.set_stored(store.tenant_use(meter.tenant()).await?);
+    }
+    if quotas.job_bytes.is_some() {
+        meter.set_job_bytes(store.tenant_job_bytes(meter.tenant()).await?);
+    }
+    Ok(())
 }

@@ -33,6 +33,8 @@ struct Inner {
     cpu_s: Window,
     /// What it had stored when that was last counted.
     stored: Option<TenantUse>,
+    /// Bytes of the files of its jobs when they were last counted.
+    job_bytes: Option<u64>,
 }
 
 /// What a tenant has used recently.
@@ -47,10 +49,11 @@ pub struct Rates {
 impl Meter {
     pub(super) fn new(tenant: Tenant) -> Self {
         let (epochs, cpu_s) = (Window::new(EPOCHS_WINDOW_S), Window::new(CPU_WINDOW_S));
+        let (quotas, stored, job_bytes) = (Quotas::default(), None, None);
         Self {
             tenant,
             begun: Instant::now(),
-            inner: Mutex::new(Inner { quotas: Quotas::default(), epochs, cpu_s, stored: None }),
+            inner: Mutex::new(Inner { quotas, epochs, cpu_s, stored, job_bytes }),
             creating: tokio::sync::Mutex::new(()),
         }
     }
@@ -78,6 +81,17 @@ impl Meter {
     pub(crate) fn stored(&self) -> Option<TenantUse> {
         let inner = self.lock();
         inner.stored.filter(|_| inner.quotas.is_of_stored())
+    }
+
+    pub(super) fn set_job_bytes(&self, bytes: u64) {
+        self.lock().job_bytes = Some(bytes);
+    }
+
+    /// Bytes of the files of its jobs and uploads when they were last counted, ten seconds ago at
+    /// most; `None` if it has no quota of them.
+    pub(crate) fn job_bytes(&self) -> Option<u64> {
+        let inner = self.lock();
+        inner.job_bytes.filter(|_| inner.quotas.job_bytes.is_some())
     }
 
     /// What it has used recently.

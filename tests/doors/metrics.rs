@@ -167,10 +167,15 @@ async fn the_use_of_quotas_is_on_the_page() {
         let push = json!({ "epochs": [epoch(1), epoch(2)] });
         assert_eq!(world::asked(&doors, key, "POST", &path, push).await.0, StatusCode::OK);
     }
+    for key in [&limited, &free] {
+        let upload = Request::post("/v1/uploads").header("tus-resumable", "1.0.0");
+        let upload = upload.header("upload-length", 1_234).body(Body::empty()).unwrap();
+        assert_eq!(world::sent(&doors, key, upload).await.status, StatusCode::CREATED);
+    }
     let absent = "/v1/tenants/absent";
     world::asked(&doors, &operator, "GET", absent, json!(null)).await;
     let quotas = json!({"sessions": 7, "epochsPerS": 100.0, "cpuSPerMinute": 30.0,
-                        "storedBytes": 1_000_000});
+                        "storedBytes": 1_000_000, "jobBytes": 5_000});
     let quotas = json!({ "quotas": quotas });
     let (status, set) = world::asked(&doors, &operator, "PUT", "/v1/tenants/limited", quotas).await;
     assert_eq!(status, StatusCode::OK, "{set}");
@@ -183,6 +188,7 @@ async fn the_use_of_quotas_is_on_the_page() {
         ("epochs_per_second", 100.0),
         ("cpu_seconds_per_minute", 30.0),
         ("stored_bytes", 1e6),
+        ("job_bytes", 5e3),
     ] {
         assert_eq!(of(&format!("{name}_limit"), "limited"), Some(limit), "{name}");
         assert_eq!(of(&format!("{name}_limit"), "free"), None, "{name}");
@@ -190,6 +196,7 @@ async fn the_use_of_quotas_is_on_the_page() {
     }
     assert_eq!((of("sessions", "limited"), of("sessions", "free")), (Some(1.0), None));
     assert!(0.0 < of("stored_bytes", "limited").unwrap());
+    assert_eq!((of("job_bytes", "limited"), of("job_bytes", "free")), (Some(1_234.0), None));
     assert!(0.0 < of("epochs_per_second", "free").unwrap());
     assert!(100.0 < page["graphfix_received_bytes_total"]);
     assert!(100.0 < page["graphfix_committed_bytes_total"]);
