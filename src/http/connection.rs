@@ -23,7 +23,7 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tower::ServiceExt;
 
 use super::answer::{Answer, PART_BYTES, WaitingAnswers};
-use super::unread;
+use super::unread::{self, Discards};
 
 /// Largest head of a request (bytes).
 const HEAD_BYTES: usize = 16 << 10;
@@ -83,6 +83,8 @@ struct Activity {
     requests: AtomicU64,
     /// Answers whose reader takes nothing.
     waiting: Arc<WaitingAnswers>,
+    /// Bodies that nobody reads any more.
+    discards: Discards,
 }
 
 /// A request that is served. Dropping it ends it.
@@ -116,6 +118,9 @@ impl Activity {
             let part = Duration::from_secs(PART_BYTES as u64 / RATE_MIN);
             let wait = patience.silence + patience.silence + part;
             return self.waiting.since().map(|since| since + wait);
+        }
+        if self.discards.is_any() {
+            return None; // Discards have a limit of time of their own.
         }
         let ended_ms = self.ended_ms.load(Ordering::Acquire);
         let head_ms = self.head_ms.load(Ordering::Acquire);
@@ -161,13 +166,15 @@ pub(super) async fn serve_connection(
         is_http1: AtomicBool::new(false),
         requests: AtomicU64::new(0),
         waiting: Arc::default(),
+        discards: Discards::default(),
     });
     let of_service = activity.clone();
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(peer);
         let (running, router) = (of_service.begin(request.version()), router.clone());
+        let discards = of_service.discards.clone();
         async move {
-            let response = router.oneshot(unread::body(request)).await?;
+            let response = router.oneshot(unread::body(request, &discards)).await?;
             Ok::<_, Infallible>(response.map(|body| running.answer(body)))
         }
     });
@@ -256,8 +263,9 @@ impl<I: Read + Unpin> Read for Watched<I> {
         buffer: ReadBufCursor<'_>,
     ) -> Poll<io::Result<()>> {
         let outcome = Pin::new(&mut self.io).poll_read(context, buffer);
-        let Activity { is_http1, head_ms, .. } = &*self.activity;
-        if outcome.is_ready() && is_http1.load(Ordering::Acquire) && !self.activity.is_running() {
+        let Activity { is_http1, head_ms, discards, .. } = &*self.activity;
+        let is_between = !self.activity.is_running() && !discards.is_any();
+        if outcome.is_ready() && is_http1.load(Ordering::Acquire) && is_between {
             let now = self.activity.now_ms();
             // Err: the head began before.
             head_ms.compare_exchange(0, now, Ordering::AcqRel, Ordering::Acquire).ok();

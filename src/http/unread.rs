@@ -2,10 +2,14 @@
 //!
 //! If a connection of HTTP/1 is closed while its peer still sends, the peer's system discards what
 //! it has received: an early refusal would be lost. So what is left of a body is read and discarded
-//! while the answer is sent (RFC 9112, section 9.6), within limits. HTTP/2 needs none of this: its
-//! streams end without their connection.
+//! while the answer is sent (RFC 9112, section 9.6). The limit is one of time, as in other servers
+//! (nginx's `lingering_time` and `lingering_timeout`): a fast client sends any number of bytes
+//! before it reads, and discarded bytes cost no memory. HTTP/2 needs none of this: its streams end
+//! without their connection.
 
 use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
@@ -17,25 +21,50 @@ use hyper::header::EXPECT;
 use tokio::runtime::Handle;
 use tokio::time::timeout;
 
-/// Most bytes that are discarded.
-const BYTES_MAX: usize = 64 << 20;
 /// Longest time without a byte, after which the rest is given up.
 const SILENCE: Duration = Duration::from_secs(2);
-/// Longest time in all.
-const TIME_MAX: Duration = Duration::from_secs(10);
+/// Longest time in all: 375 MB at 100 Mbit/s.
+const TIME_MAX: Duration = Duration::from_secs(30);
 
 /// The body of a request, of which the rest is discarded when it is dropped.
 struct Unread {
     /// `None` once it has been read to its end or has failed.
     body: Option<Incoming>,
+    discards: Discards,
 }
 
-/// The body of a request as calls read it.
-pub(super) fn body(request: hyper::Request<Incoming>) -> hyper::Request<Body> {
+/// Number of bodies of a connection whose rest is discarded now.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Discards(Arc<AtomicUsize>);
+
+impl Discards {
+    /// Whether there is one: what arrives then is no head of another request.
+    pub(super) fn is_any(&self) -> bool {
+        0 < self.0.load(Ordering::Acquire)
+    }
+
+    /// Counts one until the guard is dropped.
+    fn begin(&self) -> Discard {
+        self.0.fetch_add(1, Ordering::AcqRel);
+        Discard(self.clone())
+    }
+}
+
+/// A body whose rest is discarded.
+struct Discard(Discards);
+
+impl Drop for Discard {
+    fn drop(&mut self) {
+        self.0.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// The body of a request as calls read it. `discards` are those of its connection.
+pub(super) fn body(request: hyper::Request<Incoming>, discards: &Discards) -> hyper::Request<Body> {
     // A peer that waits for leave has sent nothing.
     let is_sent = request.version() < Version::HTTP_2 && !request.headers().contains_key(EXPECT);
     request.map(|body| match is_sent && !body.is_end_stream() {
-        true => Body::new(Unread { body: Some(body) }),
+        true => Body::new(Unread { body: Some(body), discards: discards.clone() }),
         false => Body::new(body),
     })
 }
@@ -70,20 +99,17 @@ impl Drop for Unread {
         let Some(body) = self.body.take().filter(|body| !body.is_end_stream()) else { return };
         // Err: the runtime has ended, and with it the connection.
         if let Ok(runtime) = Handle::try_current() {
+            let discard = self.discards.begin();
             runtime.spawn(async move {
                 // Err: it takes too long.
-                timeout(TIME_MAX, discard(body)).await.ok();
+                timeout(TIME_MAX, read_to_end(body)).await.ok();
+                drop(discard);
             });
         }
     }
 }
 
-/// Reads a body until it ends, its peer is silent, or there is too much of it.
-async fn discard(mut body: Incoming) {
-    let mut left = BYTES_MAX;
-    while let Ok(Some(Ok(frame))) = timeout(SILENCE, body.frame()).await {
-        let bytes = frame.data_ref().map_or(0, Bytes::len);
-        let Some(rest) = left.checked_sub(bytes) else { return };
-        left = rest;
-    }
+/// Reads a body until it ends or its peer is silent.
+async fn read_to_end(mut body: Incoming) {
+    while let Ok(Some(Ok(_))) = timeout(SILENCE, body.frame()).await {}
 }

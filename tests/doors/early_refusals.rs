@@ -17,11 +17,11 @@ async fn listening() -> (Doors, u16) {
     Doors::listening(Limits { head_s: 60, ..Limits::standard() }).await
 }
 
-/// The head of a request that announces a body.
-fn head(path: &str, kind: &str) -> String {
+/// The head of a request that announces a body of this many bytes.
+fn head(path: &str, kind: &str, bytes: usize) -> String {
     format!(
         "POST {path} HTTP/1.1\r\nhost: localhost\r\ncontent-type: {kind}\r\n\
-         content-length: {BYTES}\r\n\r\n"
+         content-length: {bytes}\r\n\r\n"
     )
 }
 
@@ -53,7 +53,7 @@ async fn a_refusal_arrives_although_the_body_is_still_sent() {
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
         let mut body = part.clone().into_bytes();
         body.resize(BYTES, b'x');
-        stream.write_all(head(path, kind).as_bytes()).unwrap();
+        stream.write_all(head(path, kind, BYTES).as_bytes()).unwrap();
         stream.write_all(&body).unwrap();
         answered(&mut stream, code);
         stream.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
@@ -61,12 +61,46 @@ async fn a_refusal_arrives_although_the_body_is_still_sent() {
     }
 }
 
+/// However large the body is: 400 MB, as a recording of a day can have.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_refusal_of_a_large_body_arrives() {
+    let (doors, port) = listening().await;
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let chunk = vec![b'x'; 1_000_000];
+    let request = head("/v1/nothing", "text/plain", 400 * chunk.len());
+    stream.write_all(request.as_bytes()).unwrap();
+    (0..400).for_each(|_| stream.write_all(&chunk).unwrap());
+    answered(&mut stream, "ROUTE_NOT_FOUND");
+    stream.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+    answered(&mut stream, "ok\n");
+    assert_eq!(doors.service.budget().used(), 0);
+}
+
+/// What is left of a body is no head of another request, which would have to arrive sooner.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_refusal_of_a_slow_body_arrives() {
+    let (_doors, port) = Doors::listening(Limits { head_s: 1, ..Limits::standard() }).await;
+    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let (chunk, chunks) = (vec![b'x'; 10_000], 30);
+    let request = head("/v1/nothing", "text/plain", chunks * chunk.len());
+    stream.write_all(request.as_bytes()).unwrap();
+    for _ in 0..chunks {
+        std::thread::sleep(Duration::from_millis(100)); // A slow network.
+        stream.write_all(&chunk).unwrap();
+    }
+    answered(&mut stream, "ROUTE_NOT_FOUND");
+    stream.write_all(b"GET /healthz HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+    answered(&mut stream, "ok\n");
+}
+
 /// Who sends nothing more after a refusal keeps the connection for seconds only.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_body_that_never_comes_ends_with_its_refusal() {
     let (doors, port) = listening().await;
     let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.write_all(head("/v1/nothing", "text/plain").as_bytes()).unwrap();
+    stream.write_all(head("/v1/nothing", "text/plain", BYTES).as_bytes()).unwrap();
     let (begun, mut answer) = (Instant::now(), String::new());
     stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
     stream.read_to_string(&mut answer).unwrap();
