@@ -13,11 +13,14 @@
 //! that arrive, in `incoming`; inputs that a run reads and results that it writes, in files without
 //! a name, of which nothing is left when the process ends.
 
+mod results;
+mod space;
+
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -28,28 +31,17 @@ use uuid::Uuid;
 use crate::config::JobsConfiguration;
 
 use super::JobError;
-use super::bucket::{Bucket, BucketError, Listed, Patience};
-use super::named::{Named, result_name};
+use super::bucket::{Bucket, BucketError, Patience};
+use super::named::Named;
+
+use space::AGES;
 
 const INCOMING: &str = "incoming";
 pub(super) const INPUTS: &str = "inputs";
 pub(super) const RESULTS: &str = "results";
 pub(super) const CHECKPOINTS: &str = "checkpoints";
 const FOLDER_ID: &str = "folder.id";
-/// A file that arrives is written to at least this often.
-const ARRIVES_FOR: Duration = Duration::from_secs(3600);
-/// Most lost claims before one whose results are removed at once. Older ones expire.
-const LOST_RESULTS: i64 = 16;
-/// A file that no job names is removed once it is this old: its job may be about to be stored.
-const UNNAMED_FOR: Duration = Duration::from_secs(600);
 const FOLDERS: [&str; 4] = [INCOMING, INPUTS, RESULTS, CHECKPOINTS];
-/// Those that are in a bucket, if there is one.
-const IN_BUCKET: [&str; 3] = [INPUTS, RESULTS, CHECKPOINTS];
-/// Ages from which files that no job names are removed, by folder.
-type Ages = [Duration; FOLDERS.len()];
-const AGES: Ages = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR, UNNAMED_FOR];
-/// The same in a bucket: its clock and that of a client may differ by a quarter of an hour.
-const UNNAMED_IN_BUCKET_FOR: Duration = Duration::from_secs(1800);
 
 /// The files of jobs.
 pub(super) struct JobFiles {
@@ -165,43 +157,6 @@ impl JobFiles {
         &self.id
     }
 
-    /// Counts the bytes of all files. What is written meanwhile is counted at the next time.
-    ///
-    /// # Errors
-    /// The folder or the bucket cannot be read.
-    pub(super) async fn count(&self) -> Result<(), JobError> {
-        let before = self.used.load(Ordering::Acquire);
-        let mut bytes = self.counted_in_folder().map_err(JobError::disk("counting files"))?;
-        if let Some(bucket) = &self.bucket {
-            bytes += self.writing.load(Ordering::Acquire);
-            for inside in IN_BUCKET {
-                let mut token = None;
-                loop {
-                    let (page, next) = bucket.page(&format!("{inside}/"), token).await?;
-                    bytes += page.iter().map(|object| object.bytes).sum::<u64>();
-                    token = next;
-                    if token.is_none() {
-                        break;
-                    }
-                }
-            }
-        }
-        let recounted = |used: u64| Some((used + bytes).saturating_sub(before));
-        self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, recounted).ok();
-        Ok(())
-    }
-
-    fn counted_in_folder(&self) -> io::Result<u64> {
-        let mut bytes = 0;
-        for inside in local(self.bucket.as_deref()) {
-            for entry in fs::read_dir(self.folder.join(inside))? {
-                // Err: it is removed meanwhile.
-                bytes += entry?.metadata().map_or(0, |metadata| metadata.len());
-            }
-        }
-        Ok(bytes)
-    }
-
     /// The right to upload files.
     ///
     /// # Errors
@@ -225,17 +180,6 @@ impl JobFiles {
     /// The path of a result in the folder.
     pub(super) fn result(&self, name: &str) -> PathBuf {
         self.folder.join(RESULTS).join(name)
-    }
-
-    /// Takes `bytes` of the space of all files.
-    ///
-    /// # Errors
-    /// It has fewer left.
-    pub(super) fn reserve(&self, bytes: u64) -> Result<(), JobError> {
-        let limit = self.limits.total_bytes;
-        let add = |used: u64| used.checked_add(bytes).filter(|used| *used <= limit);
-        let added = self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, add);
-        added.map(drop).map_err(|_| JobError::SpaceExhausted { limit })
     }
 
     /// The path of an upload of several requests.
@@ -288,152 +232,12 @@ impl JobFiles {
         Ok((stored, is_new))
     }
 
-    pub(super) fn release(&self, bytes: u64) {
-        let released = |used: u64| Some(used.saturating_sub(bytes));
-        self.used.fetch_update(Ordering::AcqRel, Ordering::Acquire, released).ok();
-    }
-
-    /// Removes a result, and gives its `bytes` up.
-    pub(super) async fn remove_result(&self, name: &str, bytes: u64) {
-        match &self.bucket {
-            // Err: it is removed once it is old, as no job names it.
-            Some(bucket) => drop(bucket.delete(&format!("{RESULTS}/{name}")).await),
-            // Err: it was not written.
-            None => drop(fs::remove_file(self.result(name))),
-        }
-        self.release(bytes);
-    }
-
-    /// Begins a result.
-    ///
-    /// # Errors
-    /// The disk fails.
-    pub(super) fn begin_result(&self, name: &str) -> io::Result<File> {
-        match &self.bucket {
-            Some(_) => self.nameless(),
-            None => File::create_new(self.result(name)),
-        }
-    }
-
-    /// Takes `bytes` more of the space of all files for a result that is written.
-    ///
-    /// # Errors
-    /// It has fewer left.
-    pub(super) fn reserve_for_result(&self, bytes: u64) -> Result<(), JobError> {
-        self.reserve(bytes)?;
-        self.writing.fetch_add(bytes, Ordering::AcqRel);
-        Ok(())
-    }
-
-    /// Makes a result of this size durable.
-    ///
-    /// # Errors
-    /// The disk or the bucket fails.
-    pub(super) async fn finish_result(
-        &self,
-        name: &str,
-        (file, bytes): (File, u64),
-    ) -> Result<(), JobError> {
-        if let Some(bucket) = &self.bucket {
-            let (name, file) = (format!("{RESULTS}/{name}"), (Arc::new(file), bytes));
-            return Ok(bucket.put(&name, file, Patience::Run).await?);
-        }
-        let stored = file.sync_all().and_then(|()| sync(&self.folder.join(RESULTS)));
-        stored.map_err(JobError::disk("writing the result"))
-    }
-
-    /// No more of a result is written. What is in the folder is removed unless it is done.
-    pub(super) fn end_result(&self, name: &str, bytes: u64, is_done: bool) {
-        let less = |writing: u64| Some(writing.saturating_sub(bytes));
-        self.writing.fetch_update(Ordering::AcqRel, Ordering::Acquire, less).ok();
-        if !is_done {
-            if self.bucket.is_none() {
-                // Err: it was not written.
-                fs::remove_file(self.result(name)).ok();
-            }
-            self.release(bytes);
-        }
-    }
-
     /// A new file of the folder without a name.
     pub(super) fn nameless(&self) -> io::Result<File> {
         let path = self.arriving(&Uuid::new_v4().simple().to_string());
         let file = File::options().read(true).write(true).create_new(true).open(&path)?;
         fs::remove_file(path)?;
         Ok(file)
-    }
-
-    /// Removes what lost claims of a job have written to the folder before this one. In a bucket it
-    /// is removed once it is old.
-    pub(super) fn remove_results_of_lost_claims(&self, job: &str, fence: i64) {
-        if self.bucket.is_some() {
-            return;
-        }
-        for lost in (fence - LOST_RESULTS).max(1)..fence {
-            let path = self.result(&result_name(job, lost));
-            let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
-            // Err: it was not written.
-            fs::remove_file(path).ok();
-            self.release(bytes);
-        }
-    }
-
-    /// Removes files that no job names once they are old.
-    ///
-    /// # Errors
-    /// The folder or the bucket cannot be read.
-    pub(super) async fn remove_old(&self, named: &Named) -> Result<(), JobError> {
-        self.remove_unnamed(named, AGES).await
-    }
-
-    /// Removes files that no job names and that are as old, by folder.
-    async fn remove_unnamed(&self, named: &Named, ages: Ages) -> Result<(), JobError> {
-        let removed = self.remove_from_folder(named, ages);
-        removed.map_err(JobError::disk("removing files of expired jobs"))?;
-        let Some(bucket) = &self.bucket else { return Ok(()) };
-        for inside in IN_BUCKET {
-            let (begin, mut token) = (format!("{inside}/"), None);
-            loop {
-                let (page, next) = bucket.page(&begin, token).await?;
-                for Listed { name, bytes, age } in page {
-                    let file = name.strip_prefix(&begin).unwrap_or_default();
-                    let is_held = self.held().contains_key(file);
-                    if UNNAMED_IN_BUCKET_FOR <= age && !named.has(file) && !is_held {
-                        bucket.delete(&name).await?;
-                        self.release(bytes);
-                    }
-                }
-                token = next;
-                if token.is_none() {
-                    break;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// The same in the folder.
-    fn remove_from_folder(&self, named: &Named, ages: Ages) -> io::Result<()> {
-        for (inside, age) in local(self.bucket.as_deref()).iter().zip(ages) {
-            for entry in fs::read_dir(self.folder.join(inside))? {
-                let entry = entry?;
-                let name = entry.file_name().to_string_lossy().into_owned();
-                // Err: another process has removed it.
-                let Ok(metadata) = entry.metadata() else { continue };
-                let is_old =
-                    age.is_zero() || metadata.modified()?.elapsed().is_ok_and(|since| age <= since);
-                let held = self.held();
-                if is_old && !named.has(&name) && !held.contains_key(&name) {
-                    match fs::remove_file(entry.path()) {
-                        Ok(()) => self.release(metadata.len()),
-                        // Another process was first.
-                        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-                        Err(error) => return Err(error),
-                    }
-                }
-            }
-        }
-        Ok(())
     }
 
     fn held(&self) -> MutexGuard<'_, HashMap<String, usize>> {
@@ -489,6 +293,8 @@ impl Drop for StoredFile {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::atomic::Ordering;
+
     use super::super::allowance::Allowance;
     use super::super::arriving::Upload;
     use super::*;
