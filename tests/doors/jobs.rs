@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 use tokio::time::sleep;
 use tower::ServiceExt;
 
-use crate::support::casters::{BRISK, PATIENCE};
+use crate::support::casters::{BRISK, PATIENCE, gzip};
 use crate::support::database::{Database, on_both_databases, on_postgres};
 use crate::support::doors::{Doors, code};
 use crate::support::jobs::{BOUNDARY, LONG, MINUTE, body};
@@ -705,4 +705,34 @@ async fn a_request_that_is_repeated_is_one_job(database: Database) {
     let (a, b) = tokio::join!(create("one"), create("two"));
     assert_eq!((a.0.id == b.0.id, a.1 != b.1), (true, true), "{a:?} {b:?}");
     store.close().await;
+}
+
+/// Files whose gzip stream is cut off or damaged are used up to there, and the report says so.
+#[tokio::test]
+async fn files_that_are_cut_off_or_damaged_are_used_up_to_there() {
+    let doors = doors(|_| {}).await;
+    let cut = |file: &[u8]| {
+        let packed = gzip(file);
+        packed[..packed.len() * 3 / 4].to_vec()
+    };
+    let mut damaged = gzip(&MINUTE.base);
+    let checksum = damaged.len() - 8;
+    damaged[checksum] ^= 1;
+    let (rover, navigation) = (cut(&MINUTE.rover), cut(&MINUTE.navigation));
+    let parts = [
+        ("rover", &rover[..]),
+        ("navigation", &navigation),
+        ("base", &damaged),
+        ("options", b"{\"mode\": \"rtk-ekf\"}"),
+    ];
+    let job = created(&doors, body(&parts)).await;
+    let done = ended(&doors, &job).await;
+    assert_eq!(done["state"], "SUCCEEDED", "{done}");
+    let (_, report) = doors.get(&format!("/v1/jobs/{job}/report")).await;
+    let skipped = report["skipped"].as_array().unwrap();
+    for (part, what) in [("rover", "cut off"), ("navigation", "cut off"), ("base", "damaged")] {
+        let line = format!("{part}: the gzip stream is {what} after ");
+        let is_said = skipped.iter().any(|said| said.as_str().unwrap().starts_with(&line));
+        assert!(is_said, "{line}: {report}");
+    }
 }
