@@ -2,26 +2,20 @@
 
 use std::io::BufRead;
 use std::sync::Arc;
-use std::time::Duration;
 
 use tokio::time::sleep;
 
 use crate::formats::unpack_within;
 use crate::gnss::GpsTime;
-use crate::refusal::Code;
 
 use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::web::{self, Fetched, Url, Validators, WebError};
-use super::{ArchiveTemplate, Backoff, Connector};
+use super::{ArchiveTemplate, Connector, Tries};
 
 /// Most files of one request, a month of daily ones or a day of hourly ones, and most bytes of them
 /// together, as they are in memory.
 const FILES_MAX: usize = 32;
 const BYTES_MAX: usize = 64 << 20;
-/// Times that a file is tried, and the delays between them.
-const TRIES: usize = 3;
-const DELAY: Duration = Duration::from_secs(2);
-const DELAY_CEILING: Duration = Duration::from_secs(30);
 
 /// A file of an archive.
 pub(crate) struct ArchivedFile {
@@ -100,33 +94,75 @@ pub(crate) async fn files(
 
 /// The content of a file, with several tries; `None` if the host does not have it.
 async fn tried(connector: &Connector, url: &Url) -> Result<Option<Vec<u8>>, WebError> {
-    let (known, mut backoff) = (Validators::default(), Backoff::new(DELAY, DELAY_CEILING));
-    for attempt in 1.. {
+    let (known, mut tries) = (Validators::default(), Tries::new());
+    loop {
         let error = match web::fetch(connector, url, &known, PACKED_LIMIT).await {
             Ok(Fetched::New { content, .. }) => return Ok(Some(content)),
             Ok(Fetched::Unchanged) | Err(WebError::NotFound { .. }) => return Ok(None),
             Err(error) => error,
         };
-        if attempt == TRIES || !error.is_passing() {
-            return Err(error);
+        match tries.delay_after(&error) {
+            Some(delay) => sleep(delay).await,
+            None => return Err(error),
         }
-        let asked = error.retry_after().filter(|asked| *asked <= DELAY_CEILING);
-        sleep(backoff.next(asked)).await;
     }
-    unreachable!("the last try returns")
 }
 
-impl WebError {
-    /// Whether another try may succeed.
-    pub(crate) fn is_passing(&self) -> bool {
-        let passing = [
-            Code::HostUnresolved,
-            Code::HostUnreachable,
-            Code::HostSlow,
-            Code::HostRefuses,
-            Code::HostProtocol,
-            Code::FileCut,
-        ];
-        passing.contains(&self.code())
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::net::TcpListener;
+
+    use super::*;
+    use crate::feeds::{FetchPolicy, TimeLimits};
+
+    /// An archive of hourly files of this size, or of none, and the number of requests.
+    async fn archive(bytes: Option<usize>) -> (ArchiveTemplate, Arc<AtomicUsize>) {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let asked = Arc::<AtomicUsize>::default();
+        let count = asked.clone();
+        tokio::spawn(async move {
+            while let Ok((mut stream, _)) = listener.accept().await {
+                let mut head = [0; 4096];
+                stream.read(&mut head).await.unwrap();
+                count.fetch_add(1, Ordering::SeqCst);
+                let status = if bytes.is_some() { "200 OK" } else { "404 Not Found" };
+                let length = bytes.unwrap_or_default();
+                let head = format!("HTTP/1.1 {status}\r\nContent-Length: {length}\r\n\r\n");
+                stream.write_all(head.as_bytes()).await.unwrap();
+                // Err: the client takes no more.
+                stream.write_all(&vec![b' '; length]).await.ok();
+            }
+        });
+        let template = format!("http://127.0.0.1:{port}/{{yyyy}}{{ddd}}{{hh}}");
+        (ArchiveTemplate::new(&template).unwrap(), asked)
+    }
+
+    /// The files of so many hours.
+    async fn hours(template: &ArchiveTemplate, hours: f64) -> Result<usize, WebError> {
+        let policy = FetchPolicy::new(&["127.0.0.1".to_owned()], true).unwrap();
+        let connector = Connector::new(policy, TimeLimits::standard(), None).unwrap();
+        let from = GpsTime::from_week_seconds(2347, 86_400.0);
+        let span = (from, from + (hours - 0.5) * 3600.0);
+        Ok(files(&connector, template, span).await?.len())
+    }
+
+    #[tokio::test]
+    async fn files_are_bounded_together() {
+        let (template, asked) = archive(Some(24 << 20)).await;
+        assert_eq!(hours(&template, 2.0).await, Ok(2));
+        let refused = hours(&template, 4.0).await;
+        assert_eq!(refused, Err(WebError::TooLarge { limit: BYTES_MAX }));
+        assert_eq!(asked.load(Ordering::SeqCst), 2 + 3, "no more are fetched");
+    }
+
+    #[tokio::test]
+    async fn no_more_files_are_asked_for_than_allowed() {
+        let (template, asked) = archive(None).await;
+        assert_eq!(hours(&template, 100.0).await, Ok(0));
+        assert_eq!(asked.load(Ordering::SeqCst), FILES_MAX);
     }
 }

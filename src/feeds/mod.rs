@@ -34,6 +34,7 @@ mod sources;
 mod stop;
 mod stream;
 mod tenant_feeds;
+mod tries;
 mod web;
 
 pub use address::FetchPolicy;
@@ -57,6 +58,7 @@ pub(crate) use post::post;
 pub use sources::NavigationSources;
 pub(crate) use sources::SourceStatus;
 pub(crate) use tenant_feeds::TenantFeeds;
+pub(crate) use tries::Tries;
 #[cfg(feature = "s3")]
 pub(crate) use web::exchange;
 pub use web::{Fetched, Validators, fetch};

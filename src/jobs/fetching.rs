@@ -12,7 +12,7 @@ use tokio::sync::mpsc;
 use tokio::task::{Id, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
-use crate::feeds::{Backoff, Connector, Url, WebError, download};
+use crate::feeds::{Connector, Tries, Url, WebError, download};
 use crate::refusal::Code;
 use crate::store::JobRow;
 use crate::tenant::Tenant;
@@ -38,10 +38,6 @@ struct Fetch {
 /// Jobs whose inputs are fetched at the same time, and those of one tenant.
 const FETCHES: usize = 4;
 const OF_TENANT: usize = 2;
-/// Times that a URL is tried, and the delays between them.
-const TRIES: usize = 3;
-const DELAY: Duration = Duration::from_secs(2);
-const DELAY_CEILING: Duration = Duration::from_secs(60);
 /// Chunks between the host and the disk.
 const CHUNKS: usize = 4;
 /// Longest name of an input (characters).
@@ -166,17 +162,12 @@ impl Unfetched {
         }
     }
 
-    /// The delay that the host asks for.
-    fn retry_after(&self) -> Option<Duration> {
+    /// The delay before the next try; `None` if there is no other.
+    fn delay(&self, tries: &mut Tries) -> Option<Duration> {
         match self {
-            Self::Web(error) => error.retry_after(),
+            Self::Web(error) => tries.delay_after(error),
             Self::Job(_) => None,
         }
-    }
-
-    /// Whether another try may succeed.
-    fn is_passing(&self) -> bool {
-        matches!(self, Self::Web(error) if error.is_passing())
     }
 }
 
@@ -187,11 +178,11 @@ async fn tried(
     input: &JobInput,
     running: &Running,
 ) -> Result<Option<StoredFile>, Unfetched> {
-    let mut backoff = Backoff::new(DELAY, DELAY_CEILING);
+    let mut tries = Tries::new();
     let text = input.url.as_deref().unwrap_or_default();
     let url: Url = text.parse().map_err(|error| Unfetched::Web(WebError::Fetch(error)))?;
     let longest = Duration::from_secs(desk.limits.fetch_s);
-    for attempt in 1.. {
+    loop {
         let file = upload.begin_again().await.map_err(Unfetched::Job)?;
         let fetching = fetched(connector, &url, longest, file);
         let error = match unless_stopped(running, fetching).await {
@@ -199,15 +190,11 @@ async fn tried(
             Some(Ok(file)) => return Ok(Some(file)),
             Some(Err(error)) => error,
         };
-        if attempt == TRIES || !error.is_passing() {
-            return Err(error);
-        }
-        let asked = error.retry_after().filter(|asked| *asked <= DELAY_CEILING);
-        if unless_stopped(running, sleep(backoff.next(asked))).await.is_none() {
+        let Some(delay) = error.delay(&mut tries) else { return Err(error) };
+        if unless_stopped(running, sleep(delay)).await.is_none() {
             return Ok(None);
         }
     }
-    unreachable!("the last try returns")
 }
 
 /// Streams a file from its host to the disk.

@@ -6,7 +6,7 @@ use graphfix::config::JobsConfiguration;
 use graphfix::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch};
 use serde_json::{Value, json};
 
-use crate::support::casters::gzip;
+use crate::support::casters::{HostileCaster, gzip};
 use crate::support::data;
 use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
@@ -65,7 +65,7 @@ async fn stored_in(
 }
 
 fn failure(done: &Value) -> (&str, &str, &str) {
-    let of = |name: &str| done["failure"][name].as_str().unwrap();
+    let of = |name: &str| done["failure"][name].as_str().unwrap_or_default();
     assert_eq!(done["state"], "FAILED", "{done}");
     (of("code"), of("field"), of("message"))
 }
@@ -229,4 +229,25 @@ async fn files_of_a_base_come_from_its_archive() {
     let fixes = |content: Vec<u8>| String::from_utf8(content).unwrap().matches("FIXED").count();
     let files = fixes(result(&doors, &of_files).await);
     assert!(140 < files && files == fixes(result(&doors, &of_session).await), "{files}");
+}
+
+/// An archive that is silent holds a job for no longer than an input may be fetched.
+#[tokio::test]
+async fn an_archive_that_is_silent_ends_the_job() {
+    let silent = HostileCaster::start(|_, stream, _| async move {
+        std::future::pending::<()>().await;
+        drop(stream);
+    })
+    .await;
+    let jobs = JobsConfiguration { fetch_s: 1, ..JobsConfiguration::standard() };
+    let doors = Doors::with_jobs(jobs).await;
+    let template = format!("http://127.0.0.1:{}/{{yyyy}}{{mm}}{{dd}}.obs", silent.port);
+    let (_, base) = doors.post("/v1/bases", json!({"archive": {"template": template}})).await;
+    let options = json!({"base": base["base"]}).to_string();
+    let (rover, navigation) = (PAIR.rover_file(), navigation_of(&PAIR));
+    let parts =
+        [("rover", &rover[..]), ("navigation", &navigation), ("options", options.as_bytes())];
+    let done = done(&doors, &parts).await;
+    let (code_of, _, message) = failure(&done);
+    assert_eq!((code_of, message), ("HOST_SLOW", "the archives took longer than 1 s"));
 }

@@ -1,0 +1,89 @@
+//! How often a file is tried, and the delays between the tries.
+
+use std::time::Duration;
+
+use crate::refusal::Code;
+
+use super::{Backoff, WebError};
+
+/// Times that a file is tried, and the delays between them.
+const TRIES: usize = 3;
+const DELAY: Duration = Duration::from_secs(2);
+const DELAY_CEILING: Duration = Duration::from_secs(60);
+
+/// The tries of one file.
+#[derive(Clone, Debug)]
+pub(crate) struct Tries {
+    left: usize,
+    backoff: Backoff,
+}
+
+impl Tries {
+    /// Before the first one.
+    pub(crate) const fn new() -> Self {
+        Self { left: TRIES, backoff: Backoff::new(DELAY, DELAY_CEILING) }
+    }
+
+    /// The delay before the next try after one that has failed; `None` if there is no other, since
+    /// it would fail, too, or was the last one.
+    pub(crate) fn delay_after(&mut self, error: &WebError) -> Option<Duration> {
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 || !error.is_passing() {
+            return None;
+        }
+        let asked = error.retry_after().filter(|asked| *asked <= DELAY_CEILING);
+        Some(self.backoff.next(asked))
+    }
+}
+
+impl WebError {
+    /// Whether another try may succeed.
+    fn is_passing(&self) -> bool {
+        let passing = [
+            Code::HostUnresolved,
+            Code::HostUnreachable,
+            Code::HostSlow,
+            Code::HostRefuses,
+            Code::HostProtocol,
+            Code::FileCut,
+        ];
+        passing.contains(&self.code())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_passing_failure_is_tried_three_times() {
+        let slow = WebError::Slow { seconds: 15 };
+        let mut tries = Tries::new();
+        let delays = [(); 4].map(|()| tries.delay_after(&slow));
+        let within = |delay: Option<Duration>, first: Duration| {
+            delay.is_some_and(|delay| first / 2 <= delay && delay <= first)
+        };
+        assert!(within(delays[0], DELAY) && within(delays[1], 2 * DELAY), "{delays:?}");
+        assert_eq!(delays[2..], [None, None]);
+    }
+
+    #[test]
+    fn a_lasting_failure_is_not_tried_again() {
+        let missing = WebError::NotFound { answer: "404 Not Found".to_owned() };
+        for error in [missing, WebError::TooLarge { limit: 1 }] {
+            assert_eq!(Tries::new().delay_after(&error), None, "{error}");
+        }
+    }
+
+    /// A host may ask for a delay, but not for a long one.
+    #[test]
+    fn the_delay_that_a_host_asks_for_is_kept_within_a_limit() {
+        let refused = |seconds| {
+            let retry_after = Some(Duration::from_secs(seconds));
+            let answer = "503 Service Unavailable".to_owned();
+            Tries::new().delay_after(&WebError::Refused { answer, retry_after }).unwrap()
+        };
+        assert!(Duration::from_secs(60) <= refused(60));
+        assert!(refused(61) <= DELAY);
+    }
+}
