@@ -141,7 +141,7 @@ mod tests {
         (ArchiveTemplate::new(&template).unwrap(), asked)
     }
 
-    /// The files of so many hours.
+    /// The number of files of this many hours.
     async fn hours(template: &ArchiveTemplate, hours: f64) -> Result<usize, WebError> {
         let policy = FetchPolicy::new(&["127.0.0.1".to_owned()], true).unwrap();
         let connector = Connector::new(policy, TimeLimits::standard(), None).unwrap();
