@@ -58,7 +58,7 @@ pub(super) async fn list(
     Ok(Json(calls::keys::list(&caller, request).await?))
 }
 
-/// Returns a key, also one that is revoked or has expired; the operator finds those of every tenant.
+/// Returns a key, also one that is revoked or has expired; the operator finds keys of every tenant.
 #[utoipa::path(get, operation_id = "keysGet",
     path = "/v1/keys/{key}", tag = "Keys",
     params(("key" = String, Path, description = "Its id")),

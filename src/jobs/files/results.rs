@@ -1,5 +1,5 @@
-//! The results of jobs while they are written: in the folder under their name, or with a bucket in a
-//! file without a name until they are whole.
+//! The results of jobs while they are written: in the folder under their name, or with a bucket in
+//! a file without a name until they are whole.
 
 use std::fs::{self, File};
 use std::io;

@@ -174,7 +174,7 @@ async fn places_that_cannot_be_are_refused() {
     assert_eq!(rest["nextPageToken"], "");
 }
 
-/// A packed file that is cut off fills a base up to there, and says so. A damaged one fills nothing.
+/// A packed file that is cut off fills a base up to there, and says so; a damaged one nothing.
 #[tokio::test]
 async fn a_packed_file_that_is_cut_off_fills_a_base_up_to_there() {
     let doors = Doors::open().await;
