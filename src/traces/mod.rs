@@ -19,8 +19,6 @@ mod exporter;
 mod otlp;
 #[cfg(feature = "otlp")]
 mod span;
-#[cfg(feature = "otlp")]
-mod tracer;
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -35,9 +33,7 @@ pub use error::TracesError;
 #[cfg(feature = "otlp")]
 pub(crate) use exporter::Exporter;
 #[cfg(feature = "otlp")]
-pub(crate) use span::TraceSpan;
-#[cfg(feature = "otlp")]
-pub(crate) use tracer::Tracer;
+pub(crate) use span::{TraceSpan, Tracer};
 
 /// What is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
