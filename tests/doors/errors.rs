@@ -460,14 +460,14 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
     let nav = |version: &str, kind: &str| {
         rinex(&format!("{version:>9}{:11}{kind:<20}{:20}RINEX VERSION / TYPE", "", ""))
     };
-    let mut truncated = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
-    std::io::Write::write_all(&mut truncated, &vec![b' '; 5000]).unwrap();
-    let mut truncated = truncated.finish().unwrap();
+    let mut damaged = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    std::io::Write::write_all(&mut damaged, &[b'\n'; 5]).unwrap();
+    let mut damaged = damaged.finish().unwrap();
     let mut bomb = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
     let head = format!("{:60}END OF HEADER\n", "");
     let content = [nav("3.05", "N: GNSS NAV DATA"), head.into_bytes(), vec![b'\n'; 200_000]];
     std::io::Write::write_all(&mut bomb, &content.concat()).unwrap();
-    truncated.truncate(truncated.len() - 6);
+    damaged[2] ^= 0xff; // Not deflate.
     let json = "application/json";
     let raw = "application/octet-stream";
     let path = "/v1/navigation";
@@ -481,7 +481,7 @@ fn uploads() -> Vec<(&'static str, &'static str, Vec<u8>, Code)> {
         (path, raw, nav("9.00", "N: GNSS NAV DATA"), Code::RinexUnsupportedVersion),
         (path, raw, nav("3.05", "N: GNSS NAV DATA"), Code::RinexTruncated),
         (path, raw, vec![0x1f, 0x9d, 0x90, 0, 0, 0], Code::RinexCompressionUnsupported),
-        (path, raw, truncated, Code::RinexReadFailed),
+        (path, raw, damaged, Code::RinexReadFailed),
         (path, raw, vec![b'x'; 90_000], Code::RinexLineTooLong),
         (path, raw, navigation(4), Code::TooManyEphemerides),
     ]

@@ -715,9 +715,10 @@ async fn files_that_are_cut_off_or_damaged_are_used_up_to_there() {
         let packed = gzip(file);
         packed[..packed.len() * 3 / 4].to_vec()
     };
-    let mut damaged = gzip(&MINUTE.base);
-    let checksum = damaged.len() - 8;
-    damaged[checksum] ^= 1;
+    // The base ends before the rover, so its end is read.
+    let (first, second) = MINUTE.base.split_at(MINUTE.base.len() / 3);
+    let mut damaged = [gzip(first), gzip(second)].concat();
+    damaged[gzip(first).len()] ^= 1;
     let (rover, navigation) = (cut(&MINUTE.rover), cut(&MINUTE.navigation));
     let parts = [
         ("rover", &rover[..]),

@@ -9,6 +9,7 @@ use std::io::BufRead;
 use crate::contract::{Caller, Lease, Refusal, in_background, v1};
 use crate::formats::rinex::{Skipped, SkippedEntry};
 use crate::formats::{GzipDamage, WholeLines, unpack_within};
+use crate::refusal::Code;
 
 /// What a file gives, and where it is cut off.
 pub(super) struct Upload<T> {
@@ -59,8 +60,13 @@ impl<T> Upload<T> {
     /// A refusal that names the cut, which may be its cause.
     pub(super) fn blamed(&self, refusal: Refusal) -> Refusal {
         let Some(cut) = &self.cut else { return refusal };
+        let code = match refusal.code {
+            // The header would be another one with what is missing.
+            Code::RinexNotRinex | Code::RinexHeaderInvalid => Code::RinexTruncated,
+            code => code,
+        };
         let message = format!("{}; {cut}", refusal.message);
-        Refusal { message, ..refusal }.on_byte(self.bytes)
+        Refusal { code, message, ..refusal }.on_byte(self.bytes)
     }
 
     /// Whether its gzip stream is cut off.
