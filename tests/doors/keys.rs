@@ -353,7 +353,7 @@ async fn a_key_is_found_in_its_tenant_and_by_the_operator() {
         assert_eq!((status, &key["tenant"]), (StatusCode::OK, &json!("mowers")), "{key}");
     }
     let unknown = format!("key_{}", "0".repeat(32));
-    for id in [&*operator.id, &unknown, "key"] {
+    for id in [&*operator.id, &unknown, "none"] {
         let (status, refused) = found(&mower, id).await;
         assert_eq!((status.as_u16(), code(&refused)), (404, "KEY_NOT_FOUND"), "{id}");
         let detail = refused["detail"].as_str().unwrap().replace(id, "ID");
