@@ -8,13 +8,18 @@
 
 pub mod comparison;
 mod epoch;
+mod html;
 mod judgement;
 mod matching;
+mod overview;
 pub mod plot;
 mod report;
+mod run_page;
 mod statistics;
 
 pub use epoch::JudgedEpoch;
 pub use judgement::{Criteria, Expected, Judgement, Truth, judge};
+pub use overview::Overview;
 pub use report::{FixReport, FixedErrors, MatchedReport, Report, Uncertainty};
+pub use run_page::RunPage;
 pub use statistics::ErrorStatistics;

@@ -3,7 +3,7 @@
 use super::Comparison;
 use crate::evaluation::JudgedEpoch;
 use crate::evaluation::plot::PlotError;
-use crate::evaluation::plot::series::{Axes, Series, Stretch, lines, plane, strips};
+use crate::evaluation::plot::series::{Axes, Scale, Series, Stretch, lines, plane, strips};
 use crate::formats::pos::quality;
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Solution};
 
@@ -51,8 +51,11 @@ pub(super) fn errors(comparison: &Comparison) -> Result<String, PlotError> {
     let typical: Vec<f64> = series.iter().filter_map(typical_m).collect();
     let smallest = typical.iter().copied().fold(f64::INFINITY, f64::min);
     let largest = typical.iter().copied().fold(0.0, f64::max);
-    let is_logarithmic = LARGE_RATIO * smallest.max(SMALLEST_M) < largest;
-    lines(&Axes { x: TIME_AXIS, y, is_logarithmic, gap: GAP_S }, &series)
+    let scale = match LARGE_RATIO * smallest.max(SMALLEST_M) < largest {
+        true => Scale::Logarithmic,
+        false => Scale::FromZero,
+    };
+    lines(&Axes { x: TIME_AXIS, y, scale, gap: GAP_S, span: None }, &series)
 }
 
 fn errors_of_truth(comparison: &Comparison) -> Vec<Series> {
@@ -96,7 +99,7 @@ pub(super) fn satellites(comparison: &Comparison) -> Result<String, PlotError> {
         let estimate = solution.estimate.as_ref();
         Some(estimate.map_or(0.0, |estimate| estimate.satellites_used.len() as f64))
     };
-    over_time(comparison, "satellites used", false, value)
+    over_time(comparison, "satellites used", Scale::FromZero, value)
 }
 
 /// Ratio of the integers over time.
@@ -105,13 +108,13 @@ pub(super) fn ratios(comparison: &Comparison) -> Result<String, PlotError> {
         let relative = solution.estimate.as_ref()?.relative.as_ref()?;
         relative.ratio.map(|ratio| ratio.min(RATIO_MAX))
     };
-    over_time(comparison, "ratio of the integers", true, value)
+    over_time(comparison, "ratio of the integers", Scale::Logarithmic, value)
 }
 
 fn over_time(
     comparison: &Comparison,
     y: &str,
-    is_logarithmic: bool,
+    scale: Scale,
     value: impl Fn(&Solution) -> Option<f64>,
 ) -> Result<String, PlotError> {
     let start = start_of(comparison);
@@ -122,7 +125,7 @@ fn over_time(
             .collect(),
     };
     let series: Vec<_> = comparison.methods.iter().map(|m| of_method(&m.solutions)).collect();
-    lines(&Axes { x: TIME_AXIS, y, is_logarithmic, gap: GAP_S }, &series)
+    lines(&Axes { x: TIME_AXIS, y, scale, gap: GAP_S, span: None }, &series)
 }
 
 /// Status of each method over time, as a coloured strip.

@@ -4,33 +4,16 @@ use std::fmt::Write as _;
 
 use super::{Comparison, Method, figures};
 use crate::evaluation::MatchedReport;
+use crate::evaluation::html::{END, escape, figure, head, swatch, wide};
 use crate::evaluation::plot::PlotError;
 use crate::evaluation::plot::series::{css_color, css_quality};
 use crate::gnss::Status;
 
-const STYLE: &str = "\
-body{font:16px/1.5 system-ui,sans-serif;color:#222;max-width:1160px;\
-margin:2rem auto;padding:0 1rem}\
-h1{font-size:1.6rem;margin-bottom:.2rem}h2{font-size:1.2rem;margin-top:2.2rem}\
-p{max-width:48rem}.muted{color:#606060}code{background:#f2f2f2;padding:.1rem .3rem;\
-overflow-wrap:anywhere}table{border-collapse:collapse;margin:.8rem 0}\
-th,td{padding:.3rem .8rem;border-bottom:1px solid #ddd;text-align:right;\
-font-variant-numeric:tabular-nums}th:first-child,td:first-child{text-align:left}\
-thead th{border-bottom:2px solid #222;vertical-align:bottom}\
-.swatch{display:inline-block;width:.8em;height:.8em;border-radius:50%;margin-right:.35em}\
-.legend span{margin-right:1.4rem;white-space:nowrap}figure{margin:1rem 0;overflow-x:auto}\
-svg{max-width:100%;height:auto}figcaption{color:#606060}.wide{overflow-x:auto}";
-
 /// The whole page.
 pub(super) fn page(comparison: &Comparison) -> Result<String, PlotError> {
     let title = escape(&comparison.title);
-    let mut page = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width\">\
-         <title>{title}: comparison</title><style>{STYLE}</style></head><body>\n\
-         <h1>{title}</h1>\n<p class=\"muted\">{}</p>\n",
-        escape(&span(comparison))
-    );
+    let mut page = head(&format!("{title}: comparison"), &title);
+    page += &format!("<p class=\"muted\">{}</p>\n", escape(&span(comparison)));
     let is_judged = !comparison.judgements.is_empty();
     if is_judged {
         page += &table("Positioning error", &error_rows(comparison), comparison);
@@ -42,19 +25,23 @@ pub(super) fn page(comparison: &Comparison) -> Result<String, PlotError> {
     }
     let lines = legend(comparison);
     let track = if is_judged { "Tracks over the truth (black)" } else { "Tracks" };
-    page += &figure(track, &lines, figures::tracks(comparison))?;
+    let each = |what: &str| format!("{what} of each method; the tables have the figures");
+    page +=
+        &figure((track, &each("Positions, east and north,")), &lines, figures::tracks(comparison))?;
     let error = if is_judged { "Horizontal error over time" } else { "Distance over time" };
-    page += &figure(error, &lines, figures::errors(comparison))?;
+    page += &figure((error, &each("Lines")), &lines, figures::errors(comparison))?;
     if comparison.is_relative() {
-        let statuses = figures::statuses(comparison);
-        page += &figure("Status over time", &status_legend(), statuses)?;
-        page += &figure("Ratio of the integers over time", &lines, figures::ratios(comparison))?;
+        let (statuses, legend) = (figures::statuses(comparison), status_legend());
+        page += &figure(("Status over time", &each("A coloured strip")), &legend, statuses)?;
+        let ratios = figures::ratios(comparison);
+        page += &figure(("Ratio of the integers over time", &each("Lines")), &lines, ratios)?;
     }
-    page += &figure("Satellites over time", &lines, figures::satellites(comparison))?;
+    let satellites = figures::satellites(comparison);
+    page += &figure(("Satellites over time", &each("Lines")), &lines, satellites)?;
     page += &agreement(comparison);
     page += &table("Reasons: number of epochs with each", &reason_rows(comparison), comparison);
     page += &configuration(comparison);
-    page += "</body></html>\n";
+    page += END;
     Ok(page)
 }
 
@@ -149,7 +136,7 @@ fn reason_rows(comparison: &Comparison) -> Vec<Row> {
 }
 
 fn table(title: &str, rows: &[Row], comparison: &Comparison) -> String {
-    let mut text = format!("<h2>{title}</h2>\n<div class=\"wide\"><table><thead><tr><th></th>");
+    let mut text = format!("<h2>{title}</h2>\n{}<table><thead><tr><th></th>", wide(title));
     for (index, method) in comparison.methods.iter().enumerate() {
         let profile = escape(&method.profile);
         text += &format!(
@@ -178,8 +165,9 @@ fn agreement(comparison: &Comparison) -> String {
     }
     let titles: String = titles.iter().map(|title| format!("<th>{title}</th>")).collect();
     let mut text = format!(
-        "<h2>Horizontal distance between methods</h2>\n<div class=\"wide\"><table><thead><tr>\
-         {titles}</tr></thead><tbody>\n"
+        "<h2>Horizontal distance between methods</h2>\n{}<table><thead><tr>\
+         {titles}</tr></thead><tbody>\n",
+        wide("Distances")
     );
     for agreement in agreements {
         let name = |index: usize| {
@@ -206,23 +194,6 @@ fn agreement(comparison: &Comparison) -> String {
     text + "</tbody></table></div>\n"
 }
 
-/// A figure with its legend, or a note if it has no data.
-fn figure(
-    title: &str,
-    legend: &str,
-    drawing: Result<String, PlotError>,
-) -> Result<String, PlotError> {
-    let svg = match drawing {
-        Ok(svg) => svg,
-        Err(PlotError::Empty) => "<p class=\"muted\">Nothing to show.</p>".to_owned(),
-        Err(error) => return Err(error),
-    };
-    Ok(format!(
-        "<h2>{title}</h2>\n<figure><figcaption class=\"legend\">{legend}</figcaption>\n{svg}\n\
-         </figure>\n"
-    ))
-}
-
 fn legend(comparison: &Comparison) -> String {
     let entry = |(index, method): (usize, &Method)| {
         let name = escape(&format!("{} ({})", method.name(), method.profile));
@@ -237,10 +208,6 @@ fn status_legend() -> String {
         format!("<span>{}{name}</span>", swatch(&color))
     };
     [1, 2, 5].map(entry).concat()
-}
-
-fn swatch(color: &str) -> String {
-    format!("<span class=\"swatch\" style=\"background:{color};margin-right:.35em\"></span>")
 }
 
 fn configuration(comparison: &Comparison) -> String {
@@ -283,11 +250,6 @@ fn plain(value: Option<f64>, decimals: usize) -> String {
 
 fn percent(share: Option<f64>) -> String {
     share.map_or_else(|| "–".to_owned(), |share| format!("{:.1} %", 100.0 * share))
-}
-
-/// Escapes text for HTML.
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
 #[cfg(test)]

@@ -8,6 +8,7 @@ use plotters::prelude::*;
 use plotters::style::{FontStyle, TextStyle, register_font};
 
 use super::PlotError;
+use crate::gnss::Status;
 
 /// Colour of text and axes.
 pub(super) const INK: RGBColor = RGBColor(34, 34, 34);
@@ -49,6 +50,18 @@ impl QualityStyle {
             _ => ("other", VERMILION),
         };
         Self { name, color }
+    }
+}
+
+/// The colour of a status, as in the dashboard.
+pub(super) const fn status_color(status: Status) -> RGBColor {
+    match status {
+        Status::Fixed => RGBColor(0, 120, 90),
+        Status::Float => RGBColor(168, 100, 0),
+        Status::Fgo => RGBColor(11, 118, 184),
+        Status::Ekf => RGBColor(68, 80, 200),
+        Status::Single => RGBColor(168, 50, 124),
+        Status::None => RGBColor(194, 58, 0),
     }
 }
 
