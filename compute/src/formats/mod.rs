@@ -20,6 +20,7 @@ pub mod odometry;
 mod parquet;
 pub mod pos;
 pub mod receiver;
+pub mod result;
 pub mod rinex;
 mod rtcm;
 pub(crate) mod skipped;

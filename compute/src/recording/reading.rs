@@ -75,7 +75,7 @@ impl RecordingInputs {
         checked.map_err(|refusal| RecordingError::FrameUnavailable { refusal })
     }
 
-    fn is_outside(&self, time: GpsTime) -> bool {
+    pub(super) fn is_outside(&self, time: GpsTime) -> bool {
         let seconds = time.seconds_of_week();
         self.from_s.is_some_and(|from| seconds < from) || self.to_s.is_some_and(|to| to < seconds)
     }
@@ -85,6 +85,7 @@ impl RecordingInputs {
 pub struct Recording<'a> {
     inputs: &'a RecordingInputs,
     navigation: Navigation,
+    dating: Dating,
     left_out: LeftOutOf<'a>,
     rover: ObservationFile,
     base: Option<BaseRecording<'a>>,
@@ -106,7 +107,7 @@ impl<'a> Recording<'a> {
         let base = open_base(inputs, &dating, &navigation)?;
         let odometry = inputs.odometry.as_ref().map(read_odometry).transpose()?;
         let mut recording =
-            Self { inputs, navigation, left_out, rover, base, antenna: None, odometry };
+            Self { inputs, navigation, dating, left_out, rover, base, antenna: None, odometry };
         recording.find_antennas()?;
         Ok(recording)
     }
@@ -114,6 +115,16 @@ impl<'a> Recording<'a> {
     /// The broadcast navigation data.
     pub const fn navigation(&self) -> &Navigation {
         &self.navigation
+    }
+
+    /// The files of the recording.
+    pub(super) const fn inputs(&self) -> &'a RecordingInputs {
+        self.inputs
+    }
+
+    /// What dates them.
+    pub(super) const fn dating(&self) -> &Dating {
+        &self.dating
     }
 
     /// The aiding data of the last epoch read.

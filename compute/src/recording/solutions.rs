@@ -79,6 +79,11 @@ impl<'a> Solutions<'a> {
         self.recording.navigation().leap_seconds
     }
 
+    /// The recording, which it reads.
+    pub const fn recording(&self) -> &Recording<'a> {
+        &self.recording
+    }
+
     /// The provenance of the positions so far.
     pub fn provenance(&self) -> Provenance {
         self.recording.provenance()

@@ -94,6 +94,11 @@ impl<W: Write> ObservationWriter<W> {
         self.write_epoch(&epoch)
     }
 
+    /// The output, with what is written so far.
+    pub(crate) const fn output(&self) -> &W {
+        &self.output
+    }
+
     /// Takes what is written so far out of the output.
     pub fn take(&mut self) -> W
     where
