@@ -26,6 +26,7 @@ mod secrets;
 mod serve;
 mod simulate;
 mod solve;
+mod solve_report;
 mod stream;
 mod stream_raw;
 mod tenants;

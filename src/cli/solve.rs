@@ -11,12 +11,15 @@ use crate::app;
 use crate::config::PositioningOptions;
 use crate::formats::track::TrackFormat;
 use crate::gnss::{LeapSeconds, Presentation};
-use crate::recording::{AnswerKind, Provenance, SolutionWriter, Solutions, Tally, comments_of};
+use crate::recording::{
+    AnswerKind, Input, Provenance, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
+};
 use crate::refusal::Code;
 
 use super::Failure;
 use super::option_arguments::OptionArguments;
 use super::recording::RecordingArguments;
+use super::solve_report::SolveReport;
 
 const WRITE_BUFFER_BYTES: usize = 1 << 16;
 /// The value of `--window` for all epochs at once.
@@ -57,6 +60,9 @@ pub(crate) struct SolveArguments {
     /// rover's file with .pos in place of its ending, if there is no such file yet.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
+    /// Report to write beside it, one HTML page with figures; the name ends in .html.
+    #[arg(long, value_name = "REPORT.html")]
+    report: Option<PathBuf>,
 }
 
 /// Runs the command; prints the summary on standard output.
@@ -66,9 +72,10 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let presentation = arguments.presentation(&options)?;
     let inputs = arguments.recording.inputs();
     let comments = comments_of(&options);
-    let mut solutions = Solutions::open(&inputs, options, arguments.answer_kind())?;
+    let mut solutions = Solutions::open(&inputs, options.clone(), arguments.answer_kind())?;
     let leap_seconds = solutions.leap_seconds();
     let path = arguments.output()?;
+    let mut report = arguments.report.as_deref().map(SolveReport::new).transpose()?;
     let mut output = create(&path, &comments, leap_seconds, presentation)?;
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
@@ -76,12 +83,21 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
         let solution = solution.inspect_err(|_| progress.clear())?;
         let foreign = output.write(&solution).map_err(|error| unwritable(&path, &error))?;
         tally.add(&solution, foreign);
+        if let Some(report) = &mut report {
+            report.add(&solution);
+        }
         progress.show(&tally);
     }
     output.finish().map_err(|error| unwritable(&path, &error))?;
     progress.clear();
-    let mut summary = summary(&tally, &solutions.provenance(), began.elapsed());
+    let (provenance, elapsed) = (solutions.provenance(), began.elapsed());
+    let mut summary = summary(&tally, &provenance, elapsed);
     summary += &format!("written to {}\n", path.display());
+    if let Some(report) = report {
+        let facts = facts(&inputs, &options, arguments.answer_kind());
+        report.write(facts, &tally, &provenance, elapsed)?;
+        summary += &format!("report in {}\n", report.path().display());
+    }
     // Err: standard output is closed.
     std::io::stdout().write_all(summary.as_bytes()).ok();
     Ok(())
@@ -138,6 +154,32 @@ impl SolveArguments {
             (_, false) => AnswerKind::Causal,
         }
     }
+}
+
+/// What was asked for, and with which files.
+fn facts(
+    inputs: &RecordingInputs,
+    options: &PositioningOptions,
+    answer: AnswerKind,
+) -> Vec<(&'static str, String)> {
+    let navigation: Vec<_> = inputs.navigation.iter().map(Input::name).collect();
+    let ephemerides = match navigation.is_empty() {
+        true => "those in the files of rover and base".to_owned(),
+        false => navigation.join("; "),
+    };
+    let base = inputs.base.as_ref().map(|base| base.name().to_owned());
+    [
+        ("Mode", Some(options.mode.name().to_owned())),
+        ("Profile", Some(options.profile.name().to_owned())),
+        ("Answers", Some(answer.name().to_owned())),
+        ("Rover", Some(inputs.rover.name().to_owned())),
+        ("Base", base),
+        ("Ephemerides", Some(ephemerides)),
+        ("Configuration", Some(options.configuration_hash())),
+    ]
+    .into_iter()
+    .filter_map(|(name, value)| Some((name, value?)))
+    .collect()
 }
 
 /// The file beside a rover's observations, with `.pos` in place of the ending (and of `.gz`).

@@ -169,19 +169,6 @@ pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Re
     Ok((headers, Body::from_stream(content)).into_response())
 }
 
-/// Returns the report of a job that has succeeded: epochs, statuses, reasons, what the positions
-/// rest on, and what was skipped of the files.
-#[utoipa::path(get, operation_id = "jobsReport",
-    path = "/v1/jobs/{job}/report", tag = "Jobs",
-    params(("job" = String, Path, description = "Its id")),
-    responses((status = 200, description = "The report", body = v1::JobReport), Refused))]
-pub(super) async fn report(
-    caller: Caller,
-    Path(job): Path<String>,
-) -> Result<Json<v1::JobReport>, Refused> {
-    Ok(Json(calls::jobs::report(&caller, v1::GetJobRequest { job }).await?))
-}
-
 /// Returns the attempts to tell the webhook of a job of its end.
 #[utoipa::path(get, operation_id = "jobsDeliveries",
     path = "/v1/jobs/{job}/deliveries", tag = "Jobs",

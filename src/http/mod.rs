@@ -18,6 +18,7 @@ mod head;
 mod head_events;
 mod history;
 mod job_events;
+mod job_report;
 mod jobs;
 mod json_extent;
 mod keys;
@@ -118,7 +119,7 @@ fn controls() -> Router<Service> {
         .route("/v1/jobs/{job}", get(jobs::get).delete(jobs::end))
         .route("/v1/jobs/{job}/events", get(job_events::events))
         .route("/v1/jobs/{job}/result", get(jobs::result))
-        .route("/v1/jobs/{job}/report", get(jobs::report))
+        .route("/v1/jobs/{job}/report", get(job_report::report))
         .route("/v1/jobs/{job}/deliveries", get(jobs::deliveries))
         .merge(uploads())
         .route("/v1/keys", get(keys::list).post(keys::create))

@@ -1,7 +1,8 @@
 //! The content of the files of jobs: inputs and checkpoints for a run, results for users.
 //!
 //! An input of a bucket is fetched to a file without a name, and checked by its hash, before a run
-//! reads it. A result of a bucket is passed on as it comes. A checkpoint is in memory as a whole.
+//! reads it. A result of a bucket is passed on as it comes. Checkpoints and figures are in memory
+//! as a whole.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
@@ -17,12 +18,16 @@ use uuid::Uuid;
 use super::JobError;
 use super::bucket::{Bucket, BucketError, Listed, Patience};
 use super::files::{CHECKPOINTS, INPUTS, JobFiles, RESULTS, sync};
-use super::named::checkpoint_name;
+use super::named::{checkpoint_name, figures_name};
 
 /// Chunks between the bucket and who takes them.
 const CHUNKS: usize = 4;
 /// Bytes of a result that are read from the folder at a time.
 pub const RESULT_CHUNK_BYTES: usize = 64 << 10;
+/// Most bytes of the figures of a result.
+pub(super) const FIGURES_BYTES: usize = 1 << 20;
+/// Most memory of the page of a report while it is made (bytes): its figures, and the page.
+pub const PAGE_BYTES: usize = 3 * FIGURES_BYTES;
 
 /// The bytes of a result, from the first one on.
 pub struct ResultContent(Content);
@@ -86,14 +91,29 @@ impl JobFiles {
     /// # Errors
     /// The disk or the bucket fails.
     pub(super) async fn checkpoint(&self, name: &str) -> Result<Option<Vec<u8>>, JobError> {
+        self.whole(CHECKPOINTS, name).await
+    }
+
+    /// The figures of a result, as a part of an HTML page, if they are kept.
+    ///
+    /// # Errors
+    /// The disk or the bucket fails.
+    pub(super) async fn figures(&self, result: &str) -> Result<Option<String>, JobError> {
+        let content = self.whole(RESULTS, &figures_name(result)).await?;
+        let text = content.map(String::from_utf8).transpose();
+        text.map_err(|error| JobError::disk("reading figures")(io::Error::other(error)))
+    }
+
+    /// The content of a small file.
+    async fn whole(&self, inside: &str, name: &str) -> Result<Option<Vec<u8>>, JobError> {
         let Some(bucket) = self.bucket() else {
-            return match fs::read(self.in_checkpoints(name)) {
+            return match tokio::fs::read(self.folder().join(inside).join(name)).await {
                 Ok(content) => Ok(Some(content)),
                 Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-                Err(error) => Err(JobError::disk("reading a checkpoint")(error)),
+                Err(error) => Err(JobError::disk("reading a small file")(error)),
             };
         };
-        let name = format!("{CHECKPOINTS}/{name}");
+        let name = format!("{inside}/{name}");
         let Some(bytes) = bucket.size(&name).await? else { return Ok(None) };
         let (sender, mut chunks) = mpsc::channel(CHUNKS);
         let downloading = async {
@@ -125,26 +145,39 @@ impl JobFiles {
         name: &str,
         content: &[u8],
     ) -> Result<(), JobError> {
+        self.store_whole(CHECKPOINTS, name, content).await
+    }
+
+    /// Stores the figures of a result. They are removed with it.
+    ///
+    /// # Errors
+    /// The space of all files is used up, or the disk or the bucket fails.
+    pub(super) async fn store_figures(&self, result: &str, content: &str) -> Result<(), JobError> {
+        self.store_whole(RESULTS, &figures_name(result), content.as_bytes()).await
+    }
+
+    /// Stores a small file, in place of any other of this name.
+    async fn store_whole(&self, inside: &str, name: &str, content: &[u8]) -> Result<(), JobError> {
         let bytes = content.len() as u64;
         self.reserve(bytes)?;
         let stored = match self.bucket() {
-            None => self.write_checkpoint(name, content),
+            None => self.write_whole(inside, name, content),
             Some(bucket) => {
                 let written = self.nameless().and_then(|mut file| {
                     file.write_all(content)?;
                     Ok(Arc::new(file))
                 });
-                let file = written.map_err(JobError::disk("writing a checkpoint"))?;
-                let name = format!("{CHECKPOINTS}/{name}");
+                let file = written.map_err(JobError::disk("writing a small file"))?;
+                let name = format!("{inside}/{name}");
                 bucket.put(&name, (file, bytes), Patience::Call).await.map_err(JobError::from)
             }
         };
         stored.inspect_err(|_| self.release(bytes))
     }
 
-    /// Writes a checkpoint to the folder: what has its name is whole.
-    fn write_checkpoint(&self, name: &str, content: &[u8]) -> Result<(), JobError> {
-        let path = self.in_checkpoints(name);
+    /// Writes a small file to the folder: what has its name is whole.
+    fn write_whole(&self, inside: &str, name: &str, content: &[u8]) -> Result<(), JobError> {
+        let path = self.folder().join(inside).join(name);
         let before = fs::metadata(&path).map_or(0, |metadata| metadata.len());
         let begun = self.arriving(&Uuid::new_v4().simple().to_string());
         let written = File::create_new(&begun)
@@ -153,10 +186,10 @@ impl JobFiles {
                 file.sync_all()
             })
             .and_then(|()| fs::rename(&begun, &path))
-            .and_then(|()| sync(&self.in_checkpoints("")));
+            .and_then(|()| sync(&self.folder().join(inside)));
         // Err: it has its name, or was not begun.
         fs::remove_file(begun).ok();
-        written.map_err(JobError::disk("writing a checkpoint"))?;
+        written.map_err(JobError::disk("writing a small file"))?;
         self.release(before);
         Ok(())
     }
@@ -189,6 +222,39 @@ impl JobFiles {
 
     fn in_checkpoints(&self, name: &str) -> PathBuf {
         self.folder().join(CHECKPOINTS).join(name)
+    }
+
+    /// Removes a result with its figures, and gives their bytes up, of which the result has
+    /// `bytes`.
+    pub(super) async fn remove_result(&self, name: &str, bytes: u64) {
+        let figures = figures_name(name);
+        match self.bucket() {
+            // Err: it is removed once it is old, as no job names it.
+            Some(bucket) => {
+                drop(bucket.delete(&format!("{RESULTS}/{name}")).await);
+                let figures = format!("{RESULTS}/{figures}");
+                if let Ok(Some(bytes)) = bucket.size(&figures).await
+                    && bucket.delete(&figures).await.is_ok()
+                {
+                    self.release(bytes);
+                }
+            }
+            // Err: it was not written.
+            None => {
+                drop(fs::remove_file(self.result(name)));
+                self.remove_from_results(&figures);
+            }
+        }
+        self.release(bytes);
+    }
+
+    /// Removes a file of the folder's results, and gives its bytes up.
+    pub(super) fn remove_from_results(&self, name: &str) {
+        let path = self.result(name);
+        let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
+        // Err: it was not written.
+        fs::remove_file(path).ok();
+        self.release(bytes);
     }
 
     /// Opens a result of this size. Its first bytes are there when this returns.

@@ -38,6 +38,7 @@ mod info;
 mod message;
 mod named;
 mod own;
+mod page;
 mod queue;
 mod report;
 mod request;
@@ -52,7 +53,7 @@ mod worker;
 
 pub use arriving::{ArrivingFile, Upload};
 pub use bucket::BucketError;
-pub use content::{RESULT_CHUNK_BYTES, ResultContent};
+pub use content::{PAGE_BYTES, RESULT_CHUNK_BYTES, ResultContent};
 pub use deliveries::Deliveries;
 pub use desk::{Jobs, Submission, UploadedFile};
 pub use error::JobError;

@@ -7,6 +7,9 @@ use crate::store::Store;
 use super::JobError;
 use super::request::JobRequest;
 
+/// End of the name of a result's figures.
+const FIGURES: &str = "-figures";
+
 /// What jobs name of the folder.
 #[derive(Debug, Default)]
 pub(super) struct Named {
@@ -50,8 +53,9 @@ impl Named {
     }
 
     /// Whether a job names the file, or its last claim, or a later one, writes it, or it is a
-    /// checkpoint of a job that has not ended.
+    /// checkpoint of a job that has not ended. Figures are named with their result.
     pub(super) fn has(&self, file: &str) -> bool {
+        let file = file.strip_suffix(FIGURES).unwrap_or(file);
         let writes = || {
             let (job, fence) = file.rsplit_once('.')?;
             Some(*self.fences.get(job)? <= fence.parse().ok()?)
@@ -65,6 +69,11 @@ impl Named {
 /// Name of the file of a result that a claim writes.
 pub(super) fn result_name(job: &str, fence: i64) -> String {
     format!("{job}.{fence}")
+}
+
+/// Name of the file of a result's figures.
+pub(super) fn figures_name(result: &str) -> String {
+    format!("{result}{FIGURES}")
 }
 
 /// Name of a part of a job's checkpoints.

@@ -11,6 +11,7 @@ use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
 use crate::clock::Stopwatch;
+use crate::evaluation::Overview;
 use crate::gnss::{Geoid, LeapSeconds, Solution};
 use crate::recording::{
     AnswerKind, Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
@@ -21,6 +22,7 @@ use crate::store::{JobProgress, Store};
 use crate::tenant::Tenant;
 
 use super::checkpoints::{Checkpoints, Found};
+use super::content::FIGURES_BYTES;
 use super::files::JobFiles;
 use super::request::{JobInput, JobRequest, Part, Plan};
 use super::sources::{Files, SessionEpochs, Source};
@@ -71,6 +73,7 @@ pub(super) struct Done {
 struct Output {
     writer: ResultWriter,
     tally: Tally,
+    overview: Overview,
     /// `None` if no more is written of them.
     checkpoints: Option<Checkpoints>,
     /// Time that the runs before have taken (s).
@@ -153,6 +156,7 @@ impl Run {
         let mut output = Output {
             writer: self.writer(source.leap_seconds())?,
             tally: Tally::default(),
+            overview: Overview::new(),
             checkpoints: self.has_checkpoints().then(|| self.checkpoints()),
             seconds_before: 0.0,
             resumed: (0, 0),
@@ -173,7 +177,7 @@ impl Run {
             self.leave_checkpoint((&source, &mut output), (runtime, began));
         }
         positioned?;
-        let Output { writer, tally, seconds_before, .. } = output;
+        let Output { writer, tally, overview, seconds_before, .. } = output;
         let bytes = self.stored(runtime, writer)?;
         space.grow_to(bytes)?;
         self.check(began)?;
@@ -187,7 +191,28 @@ impl Run {
             let line = format!("the first {kept} answers are those of a run that was cut off");
             report.provenance.push(line);
         }
+        self.keep_figures((runtime, began), &overview);
         Ok(Done { bytes, report })
+    }
+
+    /// Keeps figures of the answers beside the result. Without them the report has none.
+    fn keep_figures(&self, (runtime, began): (&Handle, Instant), overview: &Overview) {
+        let turn = self.turn(runtime, began);
+        let drawn = overview.figures();
+        drop(turn);
+        let stored = match drawn {
+            Ok(figures) if figures.len() <= FIGURES_BYTES => {
+                runtime.block_on(self.files.store_figures(&self.result, &figures))
+            }
+            Ok(figures) => Err(JobError::disk("drawing figures")(io::Error::other(format!(
+                "{} bytes are too many",
+                figures.len()
+            )))),
+            Err(error) => Err(JobError::disk("drawing figures")(io::Error::other(error))),
+        };
+        if let Err(error) = stored {
+            tracing::warn!(%error, job = self.job, "the report of a job has no figures");
+        }
     }
 
     /// Positions epochs for a turn. Returns whether there may be more.
@@ -399,6 +424,7 @@ impl Output {
     fn write(&mut self, solution: &Solution) -> Result<(), Failure> {
         let foreign = self.writer.write(solution).map_err(|error| unwritable(&error))?;
         self.tally.add(solution, foreign);
+        self.overview.add(solution);
         Ok(())
     }
 }

@@ -122,7 +122,7 @@ pub(super) async fn kept_answers(doors: &Doors, job: &str) -> u64 {
 }
 
 /// Number of files in the folder of jobs.
-fn files(doors: &Doors) -> usize {
+pub(super) fn files(doors: &Doors) -> usize {
     let folder = doors.folder().join("test.db.jobs");
     let names = ["incoming", "inputs", "results", "checkpoints"];
     let inside = names.map(|name| folder.join(name));
@@ -182,8 +182,8 @@ async fn a_job_gives_the_bytes_of_solve() {
     assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][1]["job"]);
     let (status, refused) = doors.get("/v1/jobs?state=DONE").await;
     assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
-    // Four results, and the files of all four jobs once.
-    assert_eq!(files(&doors), 4 + 3);
+    // Four results with their figures, and the files of all four jobs once.
+    assert_eq!(files(&doors), 2 * 4 + 3);
     assert_eq!(doors.service.budget().used(), 0);
 }
 
@@ -505,7 +505,7 @@ async fn a_job_that_a_restart_interrupts_goes_on() {
     assert_eq!(result, LONG.solved(&["--mode", "rtk-ekf"], "pos"));
     let kept = kept_answers(&second, &job).await;
     assert!((1..301).contains(&kept), "{kept}");
-    assert_eq!(files(&second), 4, "the result of the first run, or its checkpoint, is left");
+    assert_eq!(files(&second), 5, "the result of the first run, or its checkpoint, is left");
 }
 
 /// A batch is answered as a whole.

@@ -59,9 +59,13 @@ async fn a_job_has_its_files_in_a_bucket() {
     let result = format!("/v1/jobs/{job}/result");
     assert!(bytes_of(&doors, &result).await == (StatusCode::OK, expected()));
     let (inputs, results) = (buckets.names("of/us/inputs/"), buckets.names("of/us/results/"));
-    assert_eq!((inputs.len(), results.len()), (3, 1));
+    assert_eq!((inputs.len(), results.len()), (3, 2), "the result and its figures");
     let key = format!("of/us/results/{}", results[0]);
     assert!(buckets.ask(&["get", &key]) == expected(), "for a client of others");
+    let page = format!("/v1/jobs/{job}/report?format=html");
+    let (status, page) = bytes_of(&doors, &page).await;
+    assert_eq!(status, StatusCode::OK);
+    assert!(String::from_utf8(page).unwrap().contains("Height over time"), "its figures");
     // Nothing is left of what was on its way.
     let folder = doors.folder().join("test.db.jobs");
     assert_eq!((left(&folder), folder.join("inputs").exists()), (0, false));
@@ -301,7 +305,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
         assert!(result == HOUR.solved(&["--mode", "fgo"], "pos"));
         let report = get(&format!("{job}/report")).to_string();
         assert!(report.contains("answers are those of a run that was cut off"), "{report}");
-        assert_eq!(buckets.names("fleet/results/").len(), 1);
+        assert_eq!(buckets.names("fleet/results/").len(), 2, "with its figures");
         until("the checkpoints are removed", checkpoints, |count| *count == 0).await;
         assert_eq!((here.left(), third.left()), (0, 0));
         drop(other);

@@ -111,7 +111,9 @@ async fn jobs_outlive_their_node() {
         first.serve();
         first.is_ready().await;
         assert!(result(&first, &long[0]) == expected);
-        assert_eq!(place.count("results"), small.len() + long.len(), "of lost claims");
+        // Each with its figures.
+        let expected = 2 * (small.len() + long.len());
+        assert_eq!(place.count("results"), expected, "of lost claims");
         // A cancellation at one node stops the run at the other.
         let last: Vec<String> =
             [&first, &second].map(|node| create(node, &hour, &json!({"mode": "rtk-fgo"}))).into();
@@ -126,7 +128,7 @@ async fn jobs_outlive_their_node() {
             assert_eq!(ended(&first, id).await["state"], "SUCCEEDED");
         }
         // A run that was stopped removes what it has written.
-        let expected = small.len() + long.len() + next.len();
+        let expected = 2 * (small.len() + long.len() + next.len());
         until("no results of stopped runs", async || place.count("results"), |n| *n == expected)
             .await;
     })

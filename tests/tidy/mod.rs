@@ -93,6 +93,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
             "quotas",
             "config",
             "formats",
+            "evaluation",
             "store",
             "aiding",
             "feeds",

@@ -10,8 +10,8 @@ use tokio::time::timeout;
 use crate::contract::{Caller, Lease, Refusal, texts, v1};
 use crate::formats::track::TrackFormat;
 use crate::jobs::{
-    ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, Part, RESULT_CHUNK_BYTES,
-    Report, ResultContent, Submission, Upload, UploadedFile,
+    ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, PAGE_BYTES, Part,
+    RESULT_CHUNK_BYTES, Report, ResultContent, Submission, Upload, UploadedFile,
 };
 use crate::refusal::Code;
 use crate::store::{JobState, WebhookState};
@@ -306,6 +306,15 @@ pub async fn report(caller: &Caller, request: v1::GetJobRequest) -> Result<v1::J
     let job = caller.jobs().ended(&job_id(&request.job)?).await?;
     let without = || JobError::WithoutResult { id: job.id.to_string(), state: job.state.name() };
     Ok(report_message(&job.id, job.report.as_ref().ok_or_else(without)?))
+}
+
+/// The report of a job as an HTML page.
+///
+/// # Errors
+/// The job does not exist, has not ended, or has failed or been cancelled.
+pub async fn report_page(caller: &Caller, request: v1::GetJobRequest) -> Result<String, Refusal> {
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(PAGE_BYTES))?;
+    Ok(caller.jobs().report_page(&job_id(&request.job)?).await?)
 }
 
 /// The result of a job.

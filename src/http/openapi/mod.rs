@@ -18,8 +18,8 @@ use crate::contract::v1;
 use super::forwarding::SESSION;
 use super::problem::Problem;
 use super::{
-    audit, bases, head_events, history, job_events, jobs, keys, navigation, observations,
-    positioning, raw, sessions, sign_in, solutions, tenants, track, uploads, watch,
+    audit, bases, head_events, history, job_events, job_report, jobs, keys, navigation,
+    observations, positioning, raw, sessions, sign_in, solutions, tenants, track, uploads, watch,
 };
 
 /// Names of the ways to show who calls.
@@ -88,7 +88,7 @@ const CSRF_TOKEN: &str = "csrfToken";
         job_events::events,
         jobs::end,
         jobs::result,
-        jobs::report,
+        job_report::report,
         jobs::deliveries,
         uploads::options,
         uploads::create,

@@ -8,24 +8,14 @@ use std::sync::atomic::Ordering;
 
 use crate::jobs::JobError;
 use crate::jobs::bucket::Patience;
-use crate::jobs::named::result_name;
+use crate::jobs::named::{figures_name, result_name};
 
 use super::{JobFiles, RESULTS, sync};
 
 /// Most lost claims before one whose results are removed at once. Older ones expire.
 const LOST_RESULTS: i64 = 16;
-impl JobFiles {
-    /// Removes a result, and gives its `bytes` up.
-    pub(in crate::jobs) async fn remove_result(&self, name: &str, bytes: u64) {
-        match &self.bucket {
-            // Err: it is removed once it is old, as no job names it.
-            Some(bucket) => drop(bucket.delete(&format!("{RESULTS}/{name}")).await),
-            // Err: it was not written.
-            None => drop(fs::remove_file(self.result(name))),
-        }
-        self.release(bytes);
-    }
 
+impl JobFiles {
     /// Begins a result.
     ///
     /// # Errors
@@ -84,11 +74,9 @@ impl JobFiles {
             return;
         }
         for lost in (fence - LOST_RESULTS).max(1)..fence {
-            let path = self.result(&result_name(job, lost));
-            let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
-            // Err: it was not written.
-            fs::remove_file(path).ok();
-            self.release(bytes);
+            let name = result_name(job, lost);
+            self.remove_from_results(&name);
+            self.remove_from_results(&figures_name(&name));
         }
     }
 }
