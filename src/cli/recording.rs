@@ -1,6 +1,6 @@
 //! The arguments that name a recording, which `solve` and `compare` take.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 
@@ -63,6 +63,11 @@ impl RecordingArguments {
     /// Whether a base is named.
     pub(crate) const fn has_base(&self) -> bool {
         self.base.is_some()
+    }
+
+    /// The files of observations.
+    pub(crate) fn observed(&self) -> impl Iterator<Item = &Path> {
+        std::iter::once(&self.rover).chain(&self.base).map(PathBuf::as_path)
     }
 
     /// The inputs that they name.

@@ -1,7 +1,7 @@
 //! `graphfix solve`: a file of observations in, a file of positions out.
 
 use std::fs::File;
-use std::io::{BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -9,10 +9,12 @@ use clap::Args;
 
 use crate::app;
 use crate::config::PositioningOptions;
+use crate::formats::result::ResultFormat;
 use crate::formats::track::TrackFormat;
-use crate::gnss::{LeapSeconds, Presentation};
+use crate::gnss::{Ecef, FrameRefusal, LeapSeconds, Presentation, Solution};
 use crate::recording::{
-    AnswerKind, Input, Provenance, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
+    AnswerKind, ExportError, Input, Provenance, Recording, RecordingInputs, SolutionWriter,
+    Solutions, Tally, comments_of,
 };
 use crate::refusal::Code;
 
@@ -55,9 +57,9 @@ pub(crate) struct SolveArguments {
     /// heights above the geoid are written, too.
     #[arg(long, value_name = "FILE")]
     geoid: Option<PathBuf>,
-    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx, .nmea or
-    /// .parquet. Default: the
-    /// rover's file with .pos in place of its ending, if there is no such file yet.
+    /// File to write; its name ends in .pos, .csv, .geojson, .kml, .gpx, .nmea or .parquet, or in
+    /// .rnx or .obs for the rover's observations as RINEX. Default: the rover's file with .pos in
+    /// place of its ending, if there is no such file yet.
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
     /// Report to write beside it, one HTML page with figures; the name ends in .html.
@@ -76,19 +78,21 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
     let leap_seconds = solutions.leap_seconds();
     let path = arguments.output()?;
     let mut report = arguments.report.as_deref().map(SolveReport::new).transpose()?;
-    let mut output = create(&path, &comments, leap_seconds, presentation)?;
+    let mut output = arguments.begun(&path, &comments, leap_seconds, presentation)?;
+    let mut position = None;
     let mut tally = Tally::default();
     let mut progress = Progress::new(began);
     for solution in &mut solutions {
         let solution = solution.inspect_err(|_| progress.clear())?;
         let foreign = output.write(&solution).map_err(|error| unwritable(&path, &error))?;
         tally.add(&solution, foreign);
+        position = position.or(solution.estimate.as_ref().map(|estimate| estimate.position));
         if let Some(report) = &mut report {
             report.add(&solution);
         }
         progress.show(&tally);
     }
-    output.finish().map_err(|error| unwritable(&path, &error))?;
+    output.finish((&path, solutions.recording()), position)?;
     progress.clear();
     let (provenance, elapsed) = (solutions.provenance(), began.elapsed());
     let mut summary = summary(&tally, &provenance, elapsed);
@@ -132,6 +136,30 @@ impl SolveArguments {
             return Err(Failure::new(Code::GeoidMissing, message, "add --geoid FILE"));
         }
         Ok(options.output.presentation(geoid.as_ref()))
+    }
+
+    /// The file to write, in the format of its name's ending.
+    fn begun(
+        &self,
+        path: &Path,
+        comments: &[String],
+        leap: LeapSeconds,
+        presentation: Presentation,
+    ) -> Result<Output, Failure> {
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
+        if ResultFormat::from_ending(ending) != Some(ResultFormat::Rinex) {
+            return Ok(Output::Positions(create(path, comments, leap, presentation)?));
+        }
+        let is_input = |input: &Path| {
+            let same = input.canonicalize().ok().zip(path.canonicalize().ok());
+            same.is_some_and(|(input, output)| input == output)
+        };
+        if self.recording.observed().any(is_input) {
+            let message = format!("{} is an input", path.display());
+            return Err(Failure::new(Code::FileNotWritable, message, "name another file"));
+        }
+        let file = File::create(path).map_err(|error| unwritable(path, &error))?;
+        Ok(Output::Observations(BufWriter::with_capacity(WRITE_BUFFER_BYTES, file)))
     }
 
     /// The file to write. Only a file that is named is replaced.
@@ -214,6 +242,45 @@ pub(super) fn create(
         .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
         .and_then(|file| SolutionWriter::new(file, format, comments, leap, presentation));
     file.map_err(|error| unwritable(path, &error))
+}
+
+/// The output.
+enum Output {
+    /// Positions, as they come.
+    Positions(SolutionWriter<BufWriter<File>>),
+    /// The rover's observations, at the end.
+    Observations(BufWriter<File>),
+}
+
+impl Output {
+    /// Writes one solution. Returns why its position is not in the frame that is asked for.
+    fn write(&mut self, solution: &Solution) -> io::Result<Option<FrameRefusal>> {
+        match self {
+            Self::Positions(writer) => writer.write(solution),
+            Self::Observations(_) => Ok(None),
+        }
+    }
+
+    /// Completes the file. `position` is the rover's first one (m).
+    fn finish(
+        self,
+        (path, recording): (&Path, &Recording<'_>),
+        position: Option<Ecef>,
+    ) -> Result<(), Failure> {
+        let file = match self {
+            Self::Positions(writer) => {
+                return writer.finish().map(drop).map_err(|error| unwritable(path, &error));
+            }
+            Self::Observations(file) => file,
+        };
+        let failure = |error| match error {
+            ExportError::Read(error) => error.into(),
+            ExportError::Write(error) => unwritable(path, &error),
+        };
+        let mut export = recording.export(file, position)?;
+        while export.step().map_err(failure)? {}
+        export.finish().map(drop).map_err(failure)
+    }
 }
 
 /// A line on standard error with the number of epochs so far, on terminals only.

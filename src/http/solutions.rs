@@ -37,7 +37,8 @@ pub(super) struct SolutionsQuery {
     /// `provenance`, two thirds of the bytes.
     view: Option<String>,
     /// `json` (if absent) for a page, or `pos`, `csv`, `geojson`, `kml`, `gpx`, `nmea` or `parquet`
-    /// for a file of all, without `pageSize`, `pageToken` and `view`.
+    /// for a file of all, without `pageSize`, `pageToken` and `view`; or `rinex` for the
+    /// observations of all epochs from `from` to `to`, without `status` and `revisions`.
     format: Option<String>,
 }
 
@@ -139,8 +140,8 @@ pub(super) async fn file(
     format: &str,
     query: TrackQuery,
 ) -> Result<Response, Refused> {
-    let kind = calls::track::content_type(format)?;
-    let name = format!("{session}.{format}");
+    let (ending, kind) = calls::track::kind(format)?;
+    let name = format!("{session}.{ending}");
     let request = query.request(session, format)?;
     Ok(download(&name, kind, calls::track::track(caller, request).await?))
 }

@@ -50,6 +50,7 @@ mod uploads;
 mod watched;
 mod webhook;
 mod worker;
+mod writing;
 
 pub use arriving::{ArrivingFile, Upload};
 pub use bucket::BucketError;

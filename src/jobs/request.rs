@@ -8,7 +8,7 @@ use crate::aiding::AidingError;
 use crate::aiding::bases::{BaseChoice, BaseId};
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::formats::receiver::TimeReference;
-use crate::formats::track::TrackFormat;
+use crate::formats::result::ResultFormat;
 use crate::gnss::{CoordinateFrame, Ecef, GpsTime};
 use crate::recording::{AnswerKind, BasePosition};
 use crate::session::{RerunPlan, RerunRequest, SessionError, SessionId, SolveRequest};
@@ -169,7 +169,7 @@ pub struct JobRequest {
 pub(super) struct Plan {
     pub(super) options: PositioningOptions,
     pub(super) answer: AnswerKind,
-    pub(super) format: TrackFormat,
+    pub(super) format: ResultFormat,
     pub(super) base_position: Option<BasePosition>,
     pub(super) reference: Option<TimeReference>,
 }
@@ -353,6 +353,25 @@ impl JobOptions {
         })
     }
 
+    /// The format of the result.
+    fn result_format(&self) -> Result<ResultFormat, JobError> {
+        let wrong = |message| JobError::InvalidOption { field: "options.format", message };
+        let format = ResultFormat::from_name(&self.format).ok_or_else(|| {
+            let names = ResultFormat::names();
+            wrong(format!("{:?} is not a format; known are {names}", self.format))
+        })?;
+        match (format, &self.session) {
+            (ResultFormat::Track(track), _) if !track.is_built() => {
+                Err(JobError::FormatNotBuilt { message: track.not_built() })
+            }
+            (ResultFormat::Rinex, Some(session)) => Err(wrong(format!(
+                "the observations of a session are at /v1/sessions/{}/observations.rnx",
+                session.id
+            ))),
+            _ => Ok(format),
+        }
+    }
+
     fn plan(&self, options: PositioningOptions) -> Result<Plan, JobError> {
         let wrong = |field, message: String| JobError::InvalidOption { field, message };
         let mode = options.mode.name();
@@ -366,13 +385,7 @@ impl JobOptions {
             let field = if is_batch { "options.batch" } else { "options.smoothed" };
             return Err(wrong(field, message));
         }
-        let format = TrackFormat::from_name(&self.format).ok_or_else(|| {
-            let names = TrackFormat::names();
-            wrong("options.format", format!("{:?} is not a format; known are {names}", self.format))
-        })?;
-        if !format.is_built() {
-            return Err(JobError::FormatNotBuilt { message: format.not_built() });
-        }
+        let format = self.result_format()?;
         let base_position = match self.base_position {
             BaseOrigin::Any => None,
             BaseOrigin::FromHeader => Some(BasePosition::FromHeader),

@@ -12,10 +12,8 @@ use tokio::time::timeout;
 use crate::aiding::AidingDesk;
 use crate::clock::Stopwatch;
 use crate::evaluation::Overview;
-use crate::gnss::{Geoid, LeapSeconds, Solution};
-use crate::recording::{
-    AnswerKind, Input, RecordingInputs, SolutionWriter, Solutions, Tally, comments_of,
-};
+use crate::gnss::{Ecef, Geoid, LeapSeconds, Solution};
+use crate::recording::{AnswerKind, ExportError, Input, RecordingInputs, Solutions, Tally};
 use crate::refusal::Code;
 use crate::session::{BATCH_QUANTUM, BatchLane, BatchTurn, Rerun, RerunRequest, SessionId};
 use crate::store::{JobProgress, Store};
@@ -28,13 +26,11 @@ use super::request::{JobInput, JobRequest, Part, Plan};
 use super::sources::{Files, SessionEpochs, Source};
 use super::state::{LOOK, Running, unless_stopped};
 use super::watched::Watched;
+use super::writing::{ResultWriter, unwritable};
 use super::{Failure, JobError, Report};
 
 /// Answers of a run before that are written in a turn: some milliseconds.
 const ANSWERS_PER_TURN: usize = 512;
-const WRITE_BUFFER_BYTES: usize = 1 << 16;
-
-type ResultWriter = SolutionWriter<BufWriter<File>>;
 
 /// What a run needs.
 pub(super) struct Run {
@@ -178,7 +174,8 @@ impl Run {
         }
         positioned?;
         let Output { writer, tally, overview, seconds_before, .. } = output;
-        let bytes = self.stored(runtime, writer)?;
+        let written = (writer, &source, overview.first_position());
+        let bytes = self.stored(written, (runtime, began, used), space)?;
         space.grow_to(bytes)?;
         self.check(began)?;
         let seconds = seconds_before + began.elapsed().as_secs_f64();
@@ -342,23 +339,61 @@ impl Run {
         let output = &mut options.output;
         output.base_frame = output.base_frame.or_else(|| self.request.frame_of_own_base());
         let presentation = output.presentation(self.geoid.as_ref());
-        let comments = comments_of(&options);
-        self.files
-            .begin_result(&self.result)
-            .map(|file| BufWriter::with_capacity(WRITE_BUFFER_BYTES, file))
-            .and_then(|file| {
-                SolutionWriter::new(file, self.plan.format, &comments, leap, presentation)
-            })
-            .map_err(|error| unwritable(&error))
+        let (format, ways) = (self.plan.format, (leap, presentation));
+        let file = self.files.begin_result(&self.result);
+        let begun = file.and_then(|file| ResultWriter::begin(file, format, &options, ways));
+        begun.map_err(|error| unwritable(&error))
     }
 
-    /// Completes the result. It is durable when this returns its size (bytes).
-    fn stored(&self, runtime: &Handle, writer: ResultWriter) -> Result<u64, Ended> {
-        let (file, bytes) = writer.finish().map_err(|error| unwritable(&error))?;
+    /// Completes the result. It is durable when this returns its size (bytes). `position` is the
+    /// first one of the rover.
+    fn stored(
+        &self,
+        (writer, source, position): (ResultWriter, &impl Source, Option<Ecef>),
+        (runtime, began, used): (&Handle, Instant, &Stopwatch),
+        space: &mut Space<'_>,
+    ) -> Result<u64, Ended> {
+        let (file, bytes) = match writer {
+            ResultWriter::Positions(writer) => {
+                writer.finish().map_err(|error| unwritable(&error))?
+            }
+            ResultWriter::Observations(file) => {
+                self.observed((file, source, position), (runtime, began, used), space)?
+            }
+        };
         let file = file.into_inner().map_err(io::IntoInnerError::into_error);
         let file = file.map_err(|error| unwritable(&error))?;
         self.awaited(runtime, self.files.finish_result(&self.result, (file, bytes)))?;
         Ok(bytes)
+    }
+
+    /// Writes the rover's observations. Returns the file and its size (bytes).
+    fn observed(
+        &self,
+        (file, source, position): (BufWriter<File>, &impl Source, Option<Ecef>),
+        (runtime, began, used): (&Handle, Instant, &Stopwatch),
+        space: &mut Space<'_>,
+    ) -> Result<(BufWriter<File>, u64), Ended> {
+        let (recording, watched) =
+            source.recording().expect("the plan refuses observations of a session");
+        let failure = |error| match error {
+            ExportError::Read(error) => watched.failure(&error),
+            ExportError::Write(error) => unwritable(&error),
+        };
+        let export = recording.export(file, position);
+        let mut export = export.map_err(|error| watched.failure(&error))?;
+        let mut goes_on = true;
+        while goes_on {
+            let turn = self.turn(runtime, began)?;
+            let begun = Instant::now();
+            while goes_on && begun.elapsed() < BATCH_QUANTUM {
+                goes_on = export.step().map_err(failure)?;
+            }
+            drop(turn);
+            self.running.set_cpu(used.elapsed());
+            space.grow_to(export.bytes())?;
+        }
+        Ok(export.finish().map_err(failure)?)
     }
 
     /// Ends a run that is stopped or takes too long.
@@ -427,10 +462,6 @@ impl Output {
         self.overview.add(solution);
         Ok(())
     }
-}
-
-fn unwritable(error: &io::Error) -> Failure {
-    Failure::new(Code::JobFilesFailed, format!("writing the result: {error}"), None)
 }
 
 /// The result's bytes in the space of all files. Without a result both are given up.

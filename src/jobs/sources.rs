@@ -5,7 +5,7 @@ use tokio::runtime::Handle;
 use crate::config::Mode;
 use crate::formats::receiver::TimeReference;
 use crate::gnss::{LeapSeconds, Solution};
-use crate::recording::{AnswerKind, BaseRecording, Input, Provenance, Solutions};
+use crate::recording::{AnswerKind, BaseRecording, Input, Provenance, Recording, Solutions};
 use crate::session::{Rerun, RerunRequest, SessionError, SessionId};
 use crate::snapshot::SnapshotError;
 
@@ -41,6 +41,9 @@ pub(super) trait Source {
     /// # Errors
     /// What it depends on cannot be read.
     fn resume(&mut self, checkpoint: &[u8], runtime: &Handle) -> Result<bool, Failure>;
+
+    /// The recording, if it is one of files, and what their readers report.
+    fn recording(&self) -> Option<(&Recording<'_>, &Watched)>;
 
     /// Leap seconds of the navigation data.
     fn leap_seconds(&self) -> LeapSeconds;
@@ -89,6 +92,10 @@ impl Source for Files<'_> {
     fn resume(&mut self, checkpoint: &[u8], _: &Handle) -> Result<bool, Failure> {
         let resumed = self.solutions.resume(checkpoint);
         Ok(resumed.inspect_err(unreadable).is_ok())
+    }
+
+    fn recording(&self) -> Option<(&Recording<'_>, &Watched)> {
+        Some((self.solutions.recording(), &self.watched))
     }
 
     fn leap_seconds(&self) -> LeapSeconds {
@@ -193,6 +200,10 @@ impl Source for SessionEpochs<'_> {
         let resumed = runtime.block_on(self.rerun.resume(checkpoint));
         let resumed = resumed.map_err(|error| Failure::of_session(&error))?;
         Ok(resumed.inspect_err(unreadable).is_ok())
+    }
+
+    fn recording(&self) -> Option<(&Recording<'_>, &Watched)> {
+        None
     }
 
     fn leap_seconds(&self) -> LeapSeconds {

@@ -135,6 +135,7 @@ async fn a_job_gives_the_bytes_of_solve() {
     for (options, arguments, format) in [
         (json!({}), &[] as &[&str], "pos"),
         (json!({"mode": "spp"}), &["--mode", "spp"], "pos"),
+        (json!({"mode": "spp", "format": "rinex"}), &["--mode", "spp"], "rnx"),
         (
             json!({"mode": "rtk-fgo", "smoothed": true, "format": "csv"}),
             &["--mode", "rtk-fgo", "--smoothed"],
@@ -171,19 +172,19 @@ async fn a_job_gives_the_bytes_of_solve() {
     let token = list["nextPageToken"].as_str().unwrap();
     let (_, rest) = doors.get(&format!("/v1/jobs?pageToken={token}")).await;
     // The standard with a base, as of `solve`.
-    assert_eq!(rest["jobs"][1]["options"]["mode"], "rtk-fgo", "{rest}");
+    assert_eq!(rest["jobs"][2]["options"]["mode"], "rtk-fgo", "{rest}");
     for (query, expected) in
-        [("state=SUCCEEDED&order=OLDEST_FIRST", 4), ("state=QUEUED", 0), ("state=RUNNING", 0)]
+        [("state=SUCCEEDED&order=OLDEST_FIRST", 5), ("state=QUEUED", 0), ("state=RUNNING", 0)]
     {
         let (_, list) = doors.get(&format!("/v1/jobs?{query}")).await;
         assert_eq!(list["jobs"].as_array().unwrap().len(), expected, "{list}");
     }
     let (_, oldest) = doors.get("/v1/jobs?pageSize=1&order=OLDEST_FIRST").await;
-    assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][1]["job"]);
+    assert_eq!(oldest["jobs"][0]["job"], rest["jobs"][2]["job"]);
     let (status, refused) = doors.get("/v1/jobs?state=DONE").await;
     assert_eq!((status, code(&refused)), (StatusCode::BAD_REQUEST, "INVALID_FIELD"));
-    // Four results with their figures, and the files of all four jobs once.
-    assert_eq!(files(&doors), 2 * 4 + 3);
+    // Five results with their figures, and the files of all five jobs once.
+    assert_eq!(files(&doors), 2 * 5 + 3);
     assert_eq!(doors.service.budget().used(), 0);
 }
 

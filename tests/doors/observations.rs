@@ -8,6 +8,7 @@ use futures::TryStreamExt;
 use graphfix::contract::{convert, v1};
 use graphfix::gnss::{Cycles, Epoch, GpsTime};
 use graphfix::grpc::v1::sessions_client::SessionsClient;
+use graphfix::grpc::v1::solutions_client::SolutionsClient;
 use graphfix::session::SequencedEpoch;
 use serde_json::json;
 use tower::ServiceExt;
@@ -22,7 +23,7 @@ const EPOCHS: usize = 300;
 
 /// A session with the first epochs of the drive, and a phase in one of them that no RINEX column
 /// takes; and these epochs without that phase.
-async fn driven(doors: &Doors) -> (String, Vec<Epoch>) {
+pub(super) async fn driven(doors: &Doors) -> (String, Vec<Epoch>) {
     let (status, _) = doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
     assert_eq!(status, StatusCode::OK);
     let (_, session) = doors.post("/v1/sessions", json!({"mode": "spp", "label": "car 7"})).await;
@@ -81,6 +82,25 @@ async fn the_file_has_every_observation_that_was_sent() {
     let span = format!("from={}&to={}", text(sent[20].time), text(sent[250].time));
     let part = file(&doors, &format!("/v1/sessions/{session}/observations.rnx?{span}")).await;
     assert_same(&epochs_of(part.as_bytes()), &sent[20..=250]);
+
+    // The same bytes as a format of the solutions, by both doors.
+    let path = format!("/v1/sessions/{session}/solutions?format=rinex");
+    assert_eq!(file(&doors, &path).await, whole);
+    assert_eq!(file(&doors, &format!("{path}&{span}")).await, part);
+    for (query, field) in [("status=FIXED", "status"), ("revisions=all", "revisions")] {
+        let (status, refused) = doors.get(&format!("{path}&{query}")).await;
+        assert_eq!((status.as_u16(), code(&refused)), (400, "INVALID_FIELD"), "{refused}");
+        assert_eq!(refused["field"], field);
+    }
+    let request = v1::TrackRequest {
+        session: session.clone(),
+        format: "rinex".to_owned(),
+        ..Default::default()
+    };
+    let mut solutions = SolutionsClient::new(doors.router.clone());
+    let answers = solutions.track(request).await.unwrap().into_inner();
+    let parts: Vec<_> = answers.map_ok(|answer| answer.content).try_collect().await.unwrap();
+    assert_eq!(String::from_utf8(parts.concat()).unwrap(), whole);
 
     let mut client = SessionsClient::new(doors.router.clone());
     let request = v1::SessionObservationsRequest { session, ..Default::default() };

@@ -8,7 +8,7 @@ use futures::{Stream, StreamExt, stream};
 use tokio::time::timeout;
 
 use crate::contract::{Caller, Lease, Refusal, texts, v1};
-use crate::formats::track::TrackFormat;
+use crate::formats::result::ResultFormat;
 use crate::jobs::{
     ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, PAGE_BYTES, Part,
     RESULT_CHUNK_BYTES, Report, ResultContent, Submission, Upload, UploadedFile,
@@ -335,10 +335,10 @@ pub struct ResultFile {
 pub async fn result(caller: &Caller, request: v1::GetJobRequest) -> Result<ResultFile, Refusal> {
     let (job, content) = caller.jobs().result(&job_id(&request.job)?).await?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(2 * RESULT_CHUNK_BYTES))?;
-    let format = &*job.request.options.format;
+    let format = ResultFormat::from_name(&job.request.options.format);
     Ok(ResultFile {
-        name: format!("{}.{format}", job.id),
-        content_type: TrackFormat::from_name(format).map_or("", TrackFormat::content_type),
+        name: format!("{}.{}", job.id, format.map_or("", ResultFormat::ending)),
+        content_type: format.map_or("", ResultFormat::content_type),
         bytes: job.result.as_ref().map_or(0, |result| result.bytes),
         content,
     })

@@ -1,10 +1,12 @@
 //! Tracks: a session's stored solutions as the bytes of a file that other programs open.
 
 use bytes::Bytes;
-use futures::{Stream, stream};
+use futures::stream::BoxStream;
+use futures::{Stream, StreamExt, stream};
 
 use crate::config::OutputOptions;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
+use crate::formats::result::ResultFormat;
 use crate::formats::track::{Revision, TrackFormat, TrackWriter};
 use crate::gnss::LeapSeconds;
 use crate::keys::Pass;
@@ -12,6 +14,7 @@ use crate::refusal::Code;
 use crate::session::{SessionId, SolutionPage};
 use crate::store::{Page, Revisions, SolutionQuery, StoredSolution};
 
+use super::observations::observations;
 use super::session_id;
 use super::solutions::SOLUTION_BYTES;
 
@@ -21,30 +24,51 @@ const BATCH: usize = 128;
 /// the track (bytes).
 const TRACK_BYTES: usize = BATCH * SOLUTION_BYTES + (256 << 10);
 
-/// Names of all formats.
+/// Names of all formats of solutions.
 pub fn formats() -> impl Iterator<Item = &'static str> {
     TrackFormat::ALL.into_iter().map(TrackFormat::name)
 }
 
-/// The media type of a format's name.
+/// The ending and the media type of files of a format's name.
 ///
 /// # Errors
 /// There is no such format.
-pub fn content_type(format: &str) -> Result<&'static str, Refusal> {
-    known(format).map(TrackFormat::content_type)
+pub fn kind(format: &str) -> Result<(&'static str, &'static str), Refusal> {
+    known(format).map(|format| (format.ending(), format.content_type()))
 }
 
-/// The stored solutions of a session as a file, in order of seq and revision. It is read from the
-/// store in batches, as fast as the stream is read.
+/// What is stored of a session as a file: its solutions in order of seq and revision, or as RINEX
+/// the epochs that they answer. It is read from the store in batches, as fast as the stream is
+/// read.
 ///
 /// # Errors
 /// The session or the format does not exist, or a time, the status or the revisions are invalid.
 pub async fn track(
     caller: &Caller,
     request: v1::TrackRequest,
+) -> Result<BoxStream<'static, Result<Bytes, Refusal>>, Refusal> {
+    match known(&request.format)? {
+        ResultFormat::Track(format) => Ok(solutions(caller, request, format).await?.boxed()),
+        ResultFormat::Rinex => {
+            let chosen = [("status", request.status != 0), ("revisions", request.revisions != 0)];
+            if let Some((field, _)) = chosen.into_iter().find(|(_, is_chosen)| *is_chosen) {
+                let message = "RINEX has the observations of all epochs, whatever their solutions";
+                return Err(Refusal::new(Code::InvalidField, message).at(field));
+            }
+            let v1::TrackRequest { session, from, to, .. } = request;
+            let request = v1::SessionObservationsRequest { session, from, to };
+            Ok(observations(caller, request).await?.boxed())
+        }
+    }
+}
+
+/// The stored solutions of a session as a file.
+async fn solutions(
+    caller: &Caller,
+    request: v1::TrackRequest,
+    format: TrackFormat,
 ) -> Result<impl Stream<Item = Result<Bytes, Refusal>> + Send + use<>, Refusal> {
     let id = session_id(&request.session)?;
-    let format = known(&request.format)?;
     let revisions = convert::revisions(request.revisions)?;
     if revisions == Revisions::All && !format.has_revisions() {
         let message = format!(
@@ -77,15 +101,17 @@ pub async fn track(
     }))
 }
 
-fn known(format: &str) -> Result<TrackFormat, Refusal> {
-    let known = TrackFormat::from_name(format).ok_or_else(|| {
-        let (given, names) = (texts::brief(format), TrackFormat::names());
+fn known(format: &str) -> Result<ResultFormat, Refusal> {
+    let known = ResultFormat::from_name(format).ok_or_else(|| {
+        let (given, names) = (texts::brief(format), ResultFormat::names());
         let message = format!("{given:?} is not a format of tracks; known are {names}");
         Refusal::new(Code::InvalidField, message).at("format")
     })?;
-    match known.is_built() {
-        true => Ok(known),
-        false => Err(Refusal::new(Code::FeatureNotBuilt, known.not_built()).at("format")),
+    match known {
+        ResultFormat::Track(track) if !track.is_built() => {
+            Err(Refusal::new(Code::FeatureNotBuilt, track.not_built()).at("format"))
+        }
+        _ => Ok(known),
     }
 }
 
