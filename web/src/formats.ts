@@ -7,3 +7,6 @@ export const FORMATS = [
   { format: "gpx", name: "GPX", meaning: "one track, for GPS programs" },
   { format: "nmea", name: "NMEA", meaning: "GGA, RMC, VTG and GST of each epoch" },
 ];
+
+/** The format of observations. */
+export const RINEX = { format: "rinex", name: "RINEX", meaning: "the rover's observations, for other programs" };

@@ -146,7 +146,7 @@ async function tracksAreDownloaded(address) {
   const page = await open(address, FORMS[0].options);
   await page.goto(`${address}/#/sessions/${surveyor.session}`);
   await page.locator(".uplot").first().waitFor({ timeout: 30_000 });
-  for (const [name, sign] of [[".pos", "% program"], ["CSV", "seq,revision,"], ["GeoJSON", "FeatureCollection"], ["KML", "<kml"], ["GPX", "<gpx"], ["NMEA", "$GNGGA"]]) {
+  for (const [name, sign] of [[".pos", "% program"], ["CSV", "seq,revision,"], ["GeoJSON", "FeatureCollection"], ["KML", "<kml"], ["GPX", "<gpx"], ["NMEA", "$GNGGA"], ["RINEX", "OBSERVATION DATA"]]) {
     const arriving = page.waitForEvent("download");
     await page.locator(".download a", { hasText: name }).click();
     const text = readFileSync(await (await arriving).path(), "utf8");

@@ -97,6 +97,8 @@ async function fromDropToReport(address) {
   const job = await (await fetch(`${address}/v1/jobs/${id}`)).json();
   assert.equal(statSync(result).size, job.resultBytes);
   assert(job.options.smoothed, "smoothed unless chosen otherwise");
+  const link = page.getByRole("link", { name: "Report as a page", exact: true });
+  await reportIsAPage(address, await link.getAttribute("href"));
   await page.goto(`${address}/#/jobs`);
   await page.locator(".job-row", { hasText: "rover.obs" }).getByText("Succeeded").waitFor();
   // The same options for another recording.
@@ -106,6 +108,17 @@ async function fromDropToReport(address) {
   await until("the mode is that of the job", 10, async () => (await mode(page).inputValue()) === "rtk-fgo");
   assert.match(await page.locator("#job-missing").textContent(), /rtk-fgo needs the file of a base/);
   await page.context().close();
+}
+
+/** The report as a page, in each form, light and dark. */
+async function reportIsAPage(address, path) {
+  for (const form of FORMS) {
+    const page = await open(address, form.options);
+    await page.goto(`${address}${path}`);
+    await page.getByRole("img", { name: "Height over time" }).waitFor();
+    await capture(page, "report", form);
+    await page.context().close();
+  }
 }
 
 /** A frame of UBX with its checksum. */

@@ -86,6 +86,8 @@ export const report = (id: string, signal?: AbortSignal) => ask<JobReport>(`/v1/
 export const cancel = (id: string) => change<Job>("DELETE", `/v1/jobs/${path(id)}`);
 export const remove = (id: string) => change<Job>("DELETE", `/v1/jobs/${path(id)}?purge=true`);
 export const resultPath = (id: string): string => `/v1/jobs/${path(id)}/result`;
+/** The report as a page that needs no other file. */
+export const reportPagePath = (id: string): string => `/v1/jobs/${path(id)}/report?format=html`;
 export const eventsPath = (id: string): string => `/v1/jobs/${path(id)}/events`;
 
 export interface Sending {

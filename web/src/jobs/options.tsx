@@ -1,9 +1,12 @@
 /** What a job computes: mode, profile, kind of answer, format, base position. */
 import type { Ecef } from "../api";
-import { FORMATS } from "../formats";
+import { FORMATS, RINEX } from "../formats";
 import { gpsTime } from "../time";
 import { Problem } from "../api";
 import type { JobOptions } from "./api";
+
+/** The formats of a result. */
+const RESULTS = [...FORMATS, RINEX];
 
 export type Answer = "causal" | "smoothed" | "batch";
 export type BaseFrom = "any" | "header" | "ecef" | "geodetic";
@@ -147,9 +150,9 @@ export function OptionsForm({ choices, files, onChange }: OptionsFormProps) {
       <label class="field">
         <span>Format of the result</span>
         <select name="format" value={choices.format} onChange={({ currentTarget }) => set({ format: currentTarget.value })}>
-          {FORMATS.map(({ format, name }) => <option key={format} value={format}>{name}</option>)}
+          {RESULTS.map(({ format, name }) => <option key={format} value={format}>{name}</option>)}
         </select>
-        <small>{FORMATS.find(({ format }) => format === choices.format)?.meaning}</small>
+        <small>{RESULTS.find(({ format }) => format === choices.format)?.meaning}</small>
       </label>
       {known?.relative && (
         <label class="field">

@@ -1,7 +1,7 @@
 /** The track of a session as a file, in every format. */
 import { useState } from "preact/hooks";
 import { type Series, gpsText } from "../api";
-import { FORMATS } from "../formats";
+import { FORMATS, RINEX } from "../formats";
 
 interface DownloadProps {
   session: string;
@@ -15,14 +15,17 @@ const WITH_REVISIONS = new Set(["csv", "geojson"]);
 
 export function Download({ session, series, revision }: DownloadProps) {
   const [whole, setWhole] = useState(false);
-  const query = (format: string) => {
-    const both = WITH_REVISIONS.has(format) ? "all" : "last";
-    const parameters = new URLSearchParams({ revisions: revision === "both" ? both : revision });
+  const of = `/v1/sessions/${encodeURIComponent(session)}`;
+  const span = (parameters: URLSearchParams) => {
     if (!whole && series?.from && series.to) {
       parameters.set("from", gpsText(series.from));
       parameters.set("to", gpsText(series.to));
     }
-    return `/v1/sessions/${encodeURIComponent(session)}/track.${format}?${parameters}`;
+    return parameters;
+  };
+  const query = (format: string) => {
+    const both = WITH_REVISIONS.has(format) ? "all" : "last";
+    return `${of}/track.${format}?${span(new URLSearchParams({ revisions: revision === "both" ? both : revision }))}`;
   };
   return (
     <div class="download">
@@ -33,6 +36,7 @@ export function Download({ session, series, revision }: DownloadProps) {
       {FORMATS.map(({ format, name, meaning }) => (
         <a key={format} class="quiet" href={query(format)} download title={meaning}>{name}</a>
       ))}
+      <a class="quiet" href={`${of}/solutions?${span(new URLSearchParams({ format: RINEX.format }))}`} download title={RINEX.meaning}>{RINEX.name}</a>
     </div>
   );
 }

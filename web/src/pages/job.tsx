@@ -1,9 +1,9 @@
 /** One job: its progress while it runs, then its report and its track, or why it has failed. */
 import { useEffect, useMemo, useState } from "preact/hooks";
 import { type GpsTime, Problem, type StatusName } from "../api";
-import { type Job, type JobReport, eventsPath, hasEnded, job as jobOf, remove, report as reportOf, resultPath } from "../jobs/api";
+import { type Job, type JobReport, eventsPath, hasEnded, job as jobOf, remove, report as reportOf, reportPagePath, resultPath } from "../jobs/api";
 import { Bar, setDraft } from "../jobs/new";
-import { type Row, horizontalSigma, load, thinned } from "../jobs/result";
+import { PARSERS, type Row, horizontalSigma, load, thinned } from "../jobs/result";
 import { JobLamp, answerOf, left, nameOf, ranFor, when } from "../jobs/state";
 import { useEvents, useLive } from "../live";
 import { type Layer, type TrackPoint, chosenEpoch, track } from "../map/layers";
@@ -105,6 +105,10 @@ function Succeeded({ job }: { job: Job }) {
         {report && <Summary job={job} report={report} />}
         <div class="job-take">
           <a class="primary" href={resultPath(job.job)} download>Download {job.options.format}{job.resultBytes !== null && `, ${bytes(job.resultBytes)}`}</a>
+          <span class="job-report">
+            <a class="quiet" href={reportPagePath(job.job)} target="_blank" rel="noopener">Report as a page</a>
+            <a class="quiet" href={reportPagePath(job.job)} download={`${job.job}-report.html`} aria-label="Download the report as a page">Download</a>
+          </span>
           <span class="small">kept until {utc(Date.parse(job.expiresUtc) / 1000).slice(0, 16)} UTC</span>
         </div>
       </section>
@@ -184,7 +188,8 @@ const byRank = (statuses: JobReport["statuses"]): JobReport["statuses"] => {
 /** Track and plots, from the file of positions itself. */
 function Result({ job, report }: { job: Job; report: JobReport }) {
   const size = job.resultBytes ?? 0;
-  const [wanted, setWanted] = useState(size <= READ_BYTES);
+  const isReadable = job.options.format in PARSERS;
+  const [wanted, setWanted] = useState(isReadable && size <= READ_BYTES);
   const [rows, setRows] = useState<Row[]>();
   const [problem, setProblem] = useState<Problem>();
   const [zoom, setZoom] = useState<[number, number]>();
@@ -208,7 +213,8 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
     <>
       <div class="report-grid">
         <div class="report-track">
-          {!wanted && <p><button type="button" class="quiet" onClick={() => setWanted(true)}>Show the track ({bytes(size)} to read)</button></p>}
+          {!isReadable && <p class="note">This page reads no track from a result as {job.options.format}: the <a href={reportPagePath(job.job)} target="_blank" rel="noopener">report as a page</a> shows it.</p>}
+          {isReadable && !wanted && <p><button type="button" class="quiet" onClick={() => setWanted(true)}>Show the track ({bytes(size)} to read)</button></p>}
           {problem && <ProblemBox problem={problem} what="The track cannot be shown" />}
           {wanted && !rows && !problem && <Loading what="the track" />}
           {rows?.length === 0 && <p class="note">No epoch has a position, so there is no track.</p>}
