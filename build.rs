@@ -60,6 +60,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         .build_client(false)
         .build_server(false)
         .out_dir(messages)
+        .extern_path(".graphfix.v1.Observation", "crate::contract::v1::Observation")
         .bytes(".graphfix.v1.PushNavigationRequest.content")
         .bytes(".graphfix.v1.UploadBaseRequest.content")
         .bytes(".graphfix.v1.PushRawRequest.content")

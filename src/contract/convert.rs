@@ -79,8 +79,8 @@ pub fn epoch(message: &v1::Epoch, limits: &IntakeLimits) -> Result<Epoch, Refusa
 /// An epoch as a client sends it.
 pub fn epoch_message(seq: u64, epoch: &Epoch) -> v1::Epoch {
     let observation = |o: &crate::gnss::Observation| v1::Observation {
-        satellite: o.satellite.to_string(),
-        code: o.code.to_string(),
+        satellite: o.satellite.to_string().as_str().into(),
+        code: o.code.to_string().as_str().into(),
         pseudorange_m: o.pseudorange_m,
         carrier_phase_cycles: o.carrier_phase.map(|phase| phase.0),
         doppler_hz: o.doppler_hz,

@@ -18,6 +18,7 @@ pub(crate) mod intake;
 pub(crate) mod json;
 mod metrics;
 pub(crate) mod nodes;
+mod observation;
 mod origin;
 mod presenter;
 mod readiness;
@@ -27,6 +28,7 @@ mod refused_acts;
 mod request_meters;
 mod routing;
 mod service;
+mod short_text;
 mod sign_in;
 mod texts;
 mod threads;
@@ -51,5 +53,8 @@ pub use web_origins::{WebOriginError, WebOrigins};
 /// The messages of `proto/graphfix/v1`. Their documentation is in the proto files.
 #[allow(missing_docs, unreachable_pub, clippy::all)]
 pub mod v1 {
+    pub use super::observation::Observation;
+    pub use super::short_text::ShortText;
+
     include!(concat!(env!("OUT_DIR"), "/messages/graphfix.v1.rs"));
 }

@@ -77,7 +77,7 @@ async fn a_refusal_has_code_field_and_remedy() {
     let doors = Doors::open().await;
     let session = session(&doors.router).await;
     let mut wrong = message(1);
-    wrong.observations[0].satellite = "X05".to_owned();
+    wrong.observations[0].satellite = "X05".into();
     let push = v1::PushEpochsRequest { session, epochs: vec![wrong] };
     let status = PositioningClient::new(doors.router.clone()).push_epochs(push).await.unwrap_err();
     assert_eq!(status.code(), Code::InvalidArgument);

@@ -220,7 +220,7 @@ async fn a_wrong_message_ends_the_stream_after_the_answers_before_it() {
     let limits = Limits { stream_epochs: 8, stream_bytes: 2000, ..Limits::standard() };
     let doors = Doors::with(limits).await;
     let mut bad = message(2);
-    bad.observations[0].satellite = "X05".to_owned();
+    bad.observations[0].satellite = "X05".into();
     let session = doors.session().await;
     let second = v1::StreamRequest {
         opening: Some(opening(&session, v1::Answers::None)),
