@@ -13,15 +13,16 @@ const WHOLE: u32 = u64::BITS;
 /// Bits of the length of [`BitWriter::sized`].
 const LENGTH_BITS: u32 = 6;
 
-/// Bits that are appended at once at most, so that they fit beside those of an unfinished byte.
+/// Bits that are appended at once at most, so that they fit beside those that are held; as many go
+/// on to the encoder at once.
 const AT_ONCE: u32 = 32;
 
 /// Appends bits to an encoder, the highest first.
 pub(super) struct BitWriter<'a> {
     out: &'a mut Encoder,
-    /// The bits of a byte that is not full.
+    /// The bits that are not in the encoder yet.
     held: u64,
-    /// Number of them.
+    /// Number of them, below [`AT_ONCE`].
     count: u32,
 }
 
@@ -32,9 +33,8 @@ impl<'a> BitWriter<'a> {
 
     /// Fills the last byte with zeros.
     pub(super) fn finish(self) {
-        if self.count != 0 {
-            self.out.u8((self.held << (8 - self.count)) as u8);
-        }
+        let (held, count) = (self.held << (AT_ONCE - self.count), self.count.div_ceil(8));
+        self.out.slice(&(held as u32).to_be_bytes()[..count as usize]);
     }
 
     pub(super) fn bit(&mut self, value: bool) {
@@ -55,11 +55,10 @@ impl<'a> BitWriter<'a> {
     fn few_bits(&mut self, value: u64, count: u32) {
         self.held = self.held << count | value & ((1 << count) - 1);
         self.count += count;
-        while 8 <= self.count {
-            self.count -= 8;
-            self.out.u8((self.held >> self.count) as u8);
+        if AT_ONCE <= self.count {
+            self.count -= AT_ONCE;
+            self.out.slice(&((self.held >> self.count) as u32).to_be_bytes());
         }
-        self.held &= (1 << self.count) - 1;
     }
 
     /// A value with its number of bits, below 2⁶³.

@@ -46,7 +46,6 @@ impl Earlier {
 
 /// An observation on its way into bits.
 struct Written {
-    signal: Signal,
     /// Index of its kind; `None` if satellite and kind are those expected.
     kind: Option<usize>,
     /// The code and difference of each value in thousandths.
@@ -63,20 +62,20 @@ pub(super) fn encode_observations(
     let mut earlier = Earlier::of(earlier);
     let (mut kinds, mut codes): (Vec<Kind>, [Vec<u64>; CODES]) = Default::default();
     let mut previous: Option<Neighbour> = None;
+    let signals: Vec<Signal> = observations.iter().map(Signal::of).collect();
     let mut written = Vec::with_capacity(observations.len());
-    for signal in observations.iter().map(Signal::of) {
-        let Signal { satellite, kind, .. } = signal;
+    for signal in &signals {
+        let Signal { satellite, kind, .. } = *signal;
         let is_expected =
             |expected: &Signal| expected.satellite == satellite && expected.kind == kind;
         let index =
             (!earlier.expected().is_some_and(is_expected)).then(|| index_of(kind, &mut kinds));
         let before = earlier.find(satellite, kind.code).map(|index| &earlier.signals[index]);
         let known = Known::of((satellite, &kind), before, earlier.interval_ns, previous);
-        let expected: [_; VALUES] = std::array::from_fn(|index| {
-            signal.whole[index].map(|_| known.expected(index, &signal))
-        });
+        let expected: [_; VALUES] =
+            std::array::from_fn(|index| signal.whole[index].map(|_| known.expected(index, signal)));
         let differences: [_; VALUES] = std::array::from_fn(|index| {
-            expected[index].and_then(|expected| difference(index, &signal, expected))
+            expected[index].and_then(|expected| difference(index, signal, expected))
         });
         for (code, difference) in differences.iter().flatten() {
             let values = &mut codes[*code];
@@ -85,8 +84,8 @@ pub(super) fn encode_observations(
             }
             values.push(*difference);
         }
-        previous = Some(Neighbour::with(&signal, &known, [expected[DOPPLER], expected[PHASE]]));
-        written.push(Written { signal, kind: index, differences });
+        previous = Some(Neighbour::with(signal, &known, [expected[DOPPLER], expected[PHASE]]));
+        written.push(Written { kind: index, differences });
     }
     out.count(written.len());
     out.count(kinds.len());
@@ -95,7 +94,7 @@ pub(super) fn encode_observations(
     let parameters = codes.map(|mut code| (!code.is_empty()).then(|| rice_parameter(&mut code)));
     encode_parameters(&mut bits, &parameters);
     let mut satellite = None;
-    for Written { signal, kind, differences } in written {
+    for (signal, Written { kind, differences }) in signals.iter().zip(written) {
         if has_earlier {
             bits.bit(kind.is_none());
         }
@@ -108,7 +107,7 @@ pub(super) fn encode_observations(
             }
         }
         satellite = Some(signal.satellite);
-        encode_values(&mut bits, &signal, &differences, &parameters);
+        encode_values(&mut bits, signal, &differences, &parameters);
     }
     bits.finish();
 }
