@@ -4,7 +4,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::aiding::PushedNavigation;
-use crate::clock::Stopwatch;
 use crate::gnss::GpsTime;
 use crate::positioning::Scratch;
 use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
@@ -88,7 +87,7 @@ impl SolvedBatch {
         }
     }
 
-    /// Positions the next epoch.
+    /// Positions the next epoch. The caller adds its time to [`State::unsaved_time`].
     pub(super) fn position(
         &mut self,
         epoch: SequencedEpoch,
@@ -97,14 +96,10 @@ impl SolvedBatch {
         rules: &EpochRules,
         scratch: &mut Scratch,
     ) {
-        let (seq, stopwatch) = (epoch.seq, Stopwatch::started());
+        let seq = epoch.seq;
         let plan = match self.refusal(&epoch, rules) {
             Some(refusal) => Plan::Refused(refusal),
-            None if self.is_after_last(seq) => {
-                let plan = self.advance(epoch, aiding, configuration, scratch);
-                self.state.unsaved_time += stopwatch.elapsed();
-                plan
-            }
+            None if self.is_after_last(seq) => self.advance(epoch, aiding, configuration, scratch),
             None => self.repeated(epoch),
         };
         self.plans.push((seq, plan));

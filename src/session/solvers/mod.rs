@@ -217,28 +217,19 @@ impl Solvers {
         self.run(lane, move || memory.with_scratch(work)).await
     }
 
-    /// Runs all steps of `work` on the calling thread. For work that is shorter than passing it to
-    /// a thread of the pool.
+    /// Runs `work` on the calling thread; it returns the processor time that it has used. For work
+    /// that is shorter than passing it to a thread of the pool.
     ///
     /// # Errors
     /// It panicked.
     pub(super) fn run_here<T>(
         &self,
-        mut work: T,
-        step: impl Fn(&mut T, &mut Scratch) -> Progress,
+        work: impl FnOnce(&mut Scratch) -> (T, Duration),
     ) -> Result<T, SessionError> {
-        let steps = || {
-            self.memory.with_scratch(
-                |scratch| {
-                    while step(&mut work, scratch) == Progress::Remaining {}
-                },
-            );
-        };
-        let begun = Stopwatch::started();
-        let done = caught(steps);
-        self.meter.count_cpu(begun.elapsed());
-        done.map_err(|message| SessionError::EstimatorFailed { message })?;
-        Ok(work)
+        let done = caught(|| self.memory.with_scratch(work));
+        let (done, used) = done.map_err(|message| SessionError::EstimatorFailed { message })?;
+        self.meter.count_cpu(used);
+        Ok(done)
     }
 
     /// Runs the steps of `work` until `step` returns whether none is left. Others of the lane have
@@ -335,13 +326,9 @@ mod tests {
     #[test]
     fn a_panic_on_the_calling_thread_is_an_error() {
         let solvers = Solvers::new(NonZeroUsize::MIN);
-        let step = |left: &mut u32, _: &mut Scratch| {
-            *left = left.checked_sub(1).expect("too few steps");
-            if *left == 3 { Progress::Done } else { Progress::Remaining }
-        };
-        assert_eq!(solvers.run_here(7, step).unwrap(), 3);
-        let failed = solvers.run_here(2, step).unwrap_err();
-        assert!(failed.to_string().ends_with("too few steps"), "{failed}");
+        assert_eq!(solvers.run_here(|_| (7, Duration::from_micros(3))).unwrap(), 7);
+        let failed = solvers.run_here(|_| -> ((), Duration) { panic!("singular") }).unwrap_err();
+        assert!(failed.to_string().ends_with("singular"), "{failed}");
     }
 
     #[tokio::test]

@@ -43,7 +43,7 @@ impl Task {
         let is_short = epoch_time.is_some_and(|each| each.saturating_mul(count) <= HERE_MAX);
         let begun = Instant::now();
         let done = match is_short {
-            true => self.solvers.run_here(work, Positioning::step)?,
+            true => self.solvers.run_here(|scratch| work.completed(scratch))?,
             false => self.solvers.in_quanta(Lane::RealTime, work, Positioning::step).await?,
         };
         self.counters.record(Stage::Solving, done.used);
@@ -91,26 +91,42 @@ enum Positioned {
 impl Positioning {
     /// Positions the next epoch.
     fn step(&mut self, scratch: &mut Scratch) -> Progress {
-        let stopwatch = Stopwatch::started();
-        let progress = self.advance(scratch);
-        self.used += stopwatch.elapsed();
-        progress
+        self.advance(1, scratch)
     }
 
-    fn advance(&mut self, scratch: &mut Scratch) -> Progress {
+    /// Positions all epochs. Returns the processor time with them.
+    fn completed(mut self, scratch: &mut Scratch) -> (Self, Duration) {
+        self.advance(usize::MAX, scratch);
+        let used = self.used;
+        (self, used)
+    }
+
+    /// Positions the next epochs, at most `count`. Their time is measured together, because to read
+    /// the clock of a thread twice takes a tenth of the time of a short epoch.
+    fn advance(&mut self, count: usize, scratch: &mut Scratch) -> Progress {
+        let stopwatch = Stopwatch::started();
         if let Positioned::Nothing { committed, memory } = &self.progress {
             let batch = SolvedBatch::new(memory.copy_of(committed));
             self.progress = Positioned::Epochs(Box::new(batch));
         }
         let Positioned::Epochs(batch) = &mut self.progress else { return Progress::Remaining };
-        if let Some(epoch) = self.waiting.next() {
-            let (aiding, estimation) = (&self.aiding, &self.configuration.estimation);
+        let (aiding, estimation) = (&self.aiding, &self.configuration.estimation);
+        let before = batch.rows.len();
+        for epoch in self.waiting.by_ref().take(count) {
             batch.position(epoch, aiding, estimation, &self.rules, scratch);
+        }
+        let used = stopwatch.elapsed();
+        self.used += used;
+        if before < batch.rows.len() {
+            batch.state.unsaved_time += used;
         }
         if self.waiting.len() != 0 {
             return Progress::Remaining;
         }
         batch.finish(&self.rules);
+        if batch.snapshot.is_some() {
+            self.used += stopwatch.elapsed() - used;
+        }
         Progress::Done
     }
 
