@@ -45,6 +45,30 @@ pub(super) enum Plan {
     Refused(EpochRefusal),
 }
 
+/// The solutions of a batch on their way to the answers.
+pub(super) struct Unanswered {
+    solutions: Vec<Option<StoredSolution>>,
+    /// Whether one of them answers several epochs, because one was sent again.
+    has_resent: bool,
+}
+
+impl Unanswered {
+    /// The solutions for these plans.
+    pub(super) fn new(solutions: Vec<StoredSolution>, plans: &[(u64, Plan)]) -> Self {
+        let is_resent =
+            |(_, plan): &(u64, Plan)| matches!(plan, Plan::Positioned { resent: true, .. });
+        let has_resent = plans.iter().any(is_resent);
+        Self { solutions: solutions.into_iter().map(Some).collect(), has_resent }
+    }
+
+    /// The solution of this index.
+    pub(super) fn take(&mut self, index: usize) -> StoredSolution {
+        let solution = &mut self.solutions[index];
+        let solution = if self.has_resent { solution.clone() } else { solution.take() };
+        solution.expect("only an epoch that was sent again shares a solution")
+    }
+}
+
 /// The aiding data for the epochs of a batch.
 pub(super) struct BatchAiding {
     pub(super) navigation: PushedNavigation,

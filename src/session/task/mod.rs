@@ -26,7 +26,7 @@ use crate::store::{
 use crate::tenant::Tenant;
 use crate::traces::Work;
 
-use super::batch::{Plan, SolvedBatch};
+use super::batch::{Plan, SolvedBatch, Unanswered};
 use super::configurations::{ActiveConfiguration, Configurations};
 use super::counters::{Counters, Stage};
 use super::info::oldest_available;
@@ -321,12 +321,13 @@ impl Task {
             self.solvers.memory().recycle(before);
         }
         solutions.iter().for_each(|stored| self.counters.count_epoch(stored.solution.status));
+        let mut unanswered = Unanswered::new(solutions, &plans);
         let outcome = |(seq, plan)| {
             let result = match plan {
                 Plan::Refused(refusal) => Err(refusal),
                 Plan::Lookup(epoch) => answer_from(&stored, &epoch, durable_through)?,
                 Plan::Positioned { index, resent } => {
-                    Ok(Acknowledged { solution: solutions[index].clone(), resent })
+                    Ok(Acknowledged { solution: unanswered.take(index), resent })
                 }
             };
             self.counters.count_refused(usize::from(result.is_err()));
