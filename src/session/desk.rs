@@ -403,6 +403,7 @@ impl Sessions {
         }
         let Some(mut posting) = message.take() else { return Ok(true) };
         let mut permit = MailboxPermit::take(epochs, &handle.waiting, of_all);
+        permit.is_streamed = posting.is_streamed();
         permit.trace = self.span(id, epochs, &posting);
         posting.set_permit(permit);
         match handle.mailbox.try_send(posting) {

@@ -8,7 +8,7 @@ use tokio::sync::oneshot;
 
 use crate::session::answers::Reply;
 use crate::session::{RawChunk, RawReceived, SequencedEpoch, SessionError, Submitted};
-use crate::store::AuditEntry;
+use crate::store::{AuditEntry, RawChange};
 use crate::traces::TraceSpan;
 
 /// A message in the mailbox.
@@ -113,9 +113,20 @@ impl Message {
     }
 }
 
+/// What has arrived to be positioned and committed.
+pub(in crate::session) struct Arrived {
+    pub(super) epochs: Vec<SequencedEpoch>,
+    /// The raw chunk that the epochs come from.
+    pub(super) raw: Option<Box<RawChange>>,
+    /// See [`Batch::is_patient`](crate::store::Batch::is_patient).
+    pub(super) is_patient: bool,
+}
+
 /// The capacity that a message's epochs take while they wait. Dropping it frees the capacity.
 pub(in crate::session) struct MailboxPermit {
     epochs: usize,
+    /// Whether the push belongs to a stream.
+    pub(in crate::session) is_streamed: bool,
     since: Instant,
     of_session: Arc<AtomicUsize>,
     of_all: Arc<AtomicUsize>,
@@ -132,11 +143,17 @@ impl MailboxPermit {
         of_session.fetch_add(epochs, Ordering::AcqRel);
         of_all.fetch_add(epochs, Ordering::AcqRel);
         let (of_session, of_all) = (of_session.clone(), of_all.clone());
-        Self { epochs, since: Instant::now(), of_session, of_all, trace: None }
+        let (is_streamed, trace) = (false, None);
+        Self { epochs, is_streamed, since: Instant::now(), of_session, of_all, trace }
     }
 }
 
 impl MailboxPermit {
+    /// Whether a push belongs to a stream, which goes on without its answer.
+    pub(super) fn is_of_stream(permit: &Option<Self>) -> bool {
+        permit.as_ref().is_some_and(|permit| permit.is_streamed)
+    }
+
     /// Takes the capacity of `epochs` epochs, if the message turns out to have more than it took.
     pub(in crate::session) fn raise_to(&mut self, epochs: usize) {
         if let Some(more) = epochs.checked_sub(self.epochs) {

@@ -20,8 +20,8 @@ use crate::clock::Clock;
 use crate::config::OutputOptions;
 use crate::positioning::Scratch;
 use crate::store::{
-    ArcStart, AuditEntry, Batch, EncodedSolution, RawChange, SessionKey, SessionRow, Store,
-    StoreError, StoredEpoch, StoredSolution,
+    ArcStart, AuditEntry, Batch, EncodedSolution, SessionKey, SessionRow, Store, StoreError,
+    StoredEpoch, StoredSolution,
 };
 use crate::tenant::Tenant;
 use crate::traces::Work;
@@ -39,7 +39,7 @@ use super::{
     Acknowledged, EpochOutcome, EpochRefusal, SequencedEpoch, SessionError, SessionId, Submitted,
 };
 
-pub(super) use message::{MailboxPermit, Message, RawSubmission, Submission};
+pub(super) use message::{Arrived, MailboxPermit, Message, RawSubmission, Submission};
 pub(super) use stages::Stages;
 
 /// A batch takes no further push once it has this many epochs.
@@ -233,8 +233,10 @@ impl Task {
     async fn answer(&self, active: &mut Option<Active>, mut submissions: Vec<Submission>) {
         let pushes: Vec<_> = submissions.iter_mut().map(|s| mem::take(&mut s.epochs)).collect();
         let lengths: Vec<usize> = pushes.iter().map(Vec::len).collect();
+        let epochs = pushes.into_iter().flatten().collect();
+        let is_patient = submissions.iter().all(|sent| MailboxPermit::is_of_stream(&sent.permit));
         self.stages.begin(submissions.iter().map(|submission| &submission.permit));
-        let answers = self.advance(active, pushes.into_iter().flatten().collect()).await;
+        let answers = self.advance(active, Arrived { epochs, raw: None, is_patient }).await;
         let stages = self.stages.take();
         let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         let mut answers = answers.map(|(outcomes, through)| (outcomes.into_iter(), through));
@@ -259,10 +261,10 @@ impl Task {
     async fn advance(
         &self,
         active: &mut Option<Active>,
-        epochs: Vec<SequencedEpoch>,
+        arrived: Arrived,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
         self.activate(active).await?;
-        self.process(active, epochs, None).await
+        self.process(active, arrived).await
     }
 
     /// Positions and commits epochs of an activated session, together with the raw chunk that they
@@ -271,8 +273,7 @@ impl Task {
     async fn process(
         &self,
         active: &mut Option<Active>,
-        epochs: Vec<SequencedEpoch>,
-        raw: Option<Box<RawChange>>,
+        Arrived { epochs, raw, is_patient }: Arrived,
     ) -> Result<(Vec<EpochOutcome>, Option<u64>), SessionError> {
         let current = active.as_mut().expect("the session is activated");
         if epochs.is_empty() {
@@ -282,7 +283,7 @@ impl Task {
                 return Ok((Vec::new(), durable_through));
             }
             let batch = self.batch(durable_through);
-            let stored = self.store.commit(Batch { raw, ..batch }).await;
+            let stored = self.store.commit(Batch { raw, is_patient, ..batch }).await;
             stored.map_err(|error| failed(active, committed, error))?;
             return Ok((Vec::new(), durable_through));
         }
@@ -303,6 +304,7 @@ impl Task {
             snapshot,
             keeps_snapshot,
             raw,
+            is_patient,
             ..self.batch(active.as_ref().and_then(Active::last_seq))
         };
         if !batch.is_empty() {

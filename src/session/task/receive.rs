@@ -9,13 +9,13 @@ use crate::session::solvers::Lane;
 use crate::session::{Acknowledged, EpochOutcome, SequencedEpoch, SessionError};
 use crate::store::{RawChange, RawPosition, StoredEpoch};
 
-use super::{Active, MailboxPermit, Task};
+use super::{Active, Arrived, MailboxPermit, Task};
 
 /// Chunks of frames up to this length are decoded where they stand (bytes): that takes some 50 µs.
 const SHORT_BYTES: usize = 16 << 10;
 
 /// A chunk with new bytes.
-struct Arrived<'a> {
+struct Chunk<'a> {
     reception: Box<Reception>,
     chunk: RawChunk,
     /// Number of bytes at its beginning that are stored already.
@@ -56,17 +56,17 @@ impl Task {
             loaded.raw = Some(reception);
             return answer;
         }
-        let arrived = Arrived { reception, chunk, known, permit };
-        self.receive_new(active, arrived).await
+        let chunk = Chunk { reception, chunk, known, permit };
+        self.receive_new(active, chunk).await
     }
 
     /// Takes a chunk with new bytes.
     async fn receive_new(
         &self,
         active: &mut Option<Active>,
-        arrived: Arrived<'_>,
+        arrived: Chunk<'_>,
     ) -> Result<RawReceived, SessionError> {
-        let Arrived { mut reception, chunk, known, permit } = arrived;
+        let Chunk { mut reception, chunk, known, permit } = arrived;
         let now = self.clock.unix_ms();
         reception.date(&chunk, now);
         let content = chunk.content.slice(known..);
@@ -89,6 +89,7 @@ impl Task {
         let mut received = self.brought(received).await.inspect_err(count_refused)?;
         let epochs = std::mem::take(&mut received.epochs);
         self.solvers.meter().count_epochs(epochs.len());
+        let is_patient = MailboxPermit::is_of_stream(permit);
         if let Some(permit) = permit {
             permit.raise_to(epochs.len());
         }
@@ -99,7 +100,8 @@ impl Task {
         let change = Box::new(RawChange { position: reception.position.clone(), content });
         let number = |(seq, epoch)| SequencedEpoch { seq, epoch };
         let epochs: Vec<_> = (first_seq..).zip(epochs).map(number).collect();
-        let processed = self.process(active, epochs, Some(change)).await;
+        let arrived = Arrived { epochs, raw: Some(change), is_patient };
+        let processed = self.process(active, arrived).await;
         let (outcomes, durable_through) = processed.inspect_err(count_refused)?;
         let output = active.as_ref().map_or_else(OutputOptions::as_computed, Active::output);
         if let Some(active) = active {

@@ -38,6 +38,9 @@ pub struct Batch {
     pub closed_unix_ms: Option<i64>,
     /// The entry in the audit log of the act that is committed.
     pub entry: Option<Box<AuditEntry>>,
+    /// Whether those who have sent its epochs go on without its answer, so that it may wait longer
+    /// for others to form a transaction with.
+    pub is_patient: bool,
 }
 
 impl Batch {
@@ -55,6 +58,7 @@ impl Batch {
             arc: None,
             closed_unix_ms: None,
             entry: None,
+            is_patient: false,
         }
     }
 

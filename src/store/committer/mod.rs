@@ -3,7 +3,8 @@
 //! One task writes. Batches that arrive during a transaction wait in a bounded queue and form the
 //! next transaction. So transactions grow with the load, and a single session waits for no other.
 //! After a transaction of several batches the next one begins 20 ms after it, or later: the disk
-//! then syncs once for more of them.
+//! then syncs once for more of them. Where all that wait are of streams, which send further epochs
+//! without their answers, it begins 40 ms after it.
 //! A batch that does not continue its session, because another writer has stored epochs or has
 //! closed it, is left out of the transaction; see `heads`.
 //!
@@ -70,6 +71,8 @@ pub(super) struct Timing {
     pub(super) retry: Duration,
     /// From the beginning of a transaction of several batches to that of the next.
     pub(super) spacing: Duration,
+    /// The same if nobody waits for an answer of the next one ([`Batch::is_patient`]).
+    pub(super) patient_spacing: Duration,
 }
 
 impl Timing {
@@ -81,6 +84,31 @@ impl Timing {
             retry: Duration::from_millis(250),
             // Several times a sync of the disk, and little beside the delays of a network.
             spacing: Duration::from_millis(20),
+            patient_spacing: Duration::from_millis(40),
+        }
+    }
+
+    /// Takes the messages of the next transaction into the group. They wait for others if the last
+    /// transaction was of several batches; it began at `last`.
+    async fn gather(
+        self,
+        first: Message,
+        last: Option<Instant>,
+        inbox: &mut mpsc::Receiver<Message>,
+        group: &mut Vec<Request>,
+    ) {
+        let mut next = Some(first);
+        for spacing in [self.spacing, self.patient_spacing] {
+            if let Some(last) = last {
+                sleep((last + spacing).saturating_duration_since(Instant::now())).await;
+            }
+            next = next.or_else(|| inbox.try_recv().ok());
+            let has_room = next.is_none_or(|message| collect(message, inbox, group));
+            let is_patient = group.iter().all(|request| request.batch.is_patient);
+            if last.is_none() || !has_room || !is_patient || inbox.is_closed() {
+                return;
+            }
+            next = None;
         }
     }
 }
@@ -237,17 +265,14 @@ impl<C: Connect> Running<C> {
     /// Commits until it is to stop, and then the waiting batches.
     async fn run(mut self, mut inbox: mpsc::Receiver<Message>) {
         let mut group = Vec::new();
-        let mut not_before = Instant::now();
+        let mut last_of_several = None;
         while self.reconnected(&mut inbox).await {
             match timeout(self.timing.heartbeat, inbox.recv()).await {
                 Err(_) => self.probe().await,
                 Ok(None) => break,
                 Ok(Some(message)) => {
-                    sleep(not_before.saturating_duration_since(Instant::now())).await;
-                    collect(message, &mut inbox, &mut group);
-                    if SEVERAL <= group.len() {
-                        not_before = Instant::now() + self.timing.spacing;
-                    }
+                    self.timing.gather(message, last_of_several, &mut inbox, &mut group).await;
+                    last_of_several = (SEVERAL <= group.len()).then(Instant::now);
                     self.commit_group(&mut group).await;
                 }
             }
@@ -405,9 +430,11 @@ fn accepted(left_out: Vec<usize>) -> Result<(), StoreError> {
     if left_out.is_empty() { Ok(()) } else { Err(StoreError::AlreadyStored) }
 }
 
-/// Takes the messages that wait into the group.
-fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<Request>) {
-    let (mut next, mut epochs, mut bytes) = (Some(first), 0, 0);
+/// Takes the messages that wait into the group. Returns whether it has room for others.
+fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<Request>) -> bool {
+    let mut next = Some(first);
+    let mut epochs: usize = group.iter().map(|request| request.batch.epochs.len()).sum();
+    let mut bytes: usize = group.iter().map(|request| request.batch.bytes()).sum();
     while let Some(message) = next {
         match message {
             Message::Commit(request) => {
@@ -418,8 +445,12 @@ fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<
             Message::Stop => inbox.close(),
         }
         let has_room = epochs < EPOCHS_PER_TRANSACTION && bytes < BYTES_PER_TRANSACTION;
-        next = if has_room { inbox.try_recv().ok() } else { None };
+        if !has_room {
+            return false;
+        }
+        next = inbox.try_recv().ok();
     }
+    true
 }
 
 /// Runs `work`, and refuses all batches meanwhile. `None` if it is to stop.

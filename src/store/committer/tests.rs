@@ -79,6 +79,7 @@ const TIMING: Timing = Timing {
     heartbeat: Duration::from_millis(20),
     retry: Duration::from_millis(5),
     spacing: Duration::from_millis(50),
+    patient_spacing: Duration::from_millis(500),
 };
 
 async fn started() -> (Committer, Arc<Shared>) {
@@ -129,6 +130,25 @@ async fn batches_wait_for_others_under_load() {
     futures::future::try_join_all(several).await.unwrap();
     apart(8).await;
     assert_eq!(*shared.sizes.lock().unwrap(), [1, 1, 5, 2]);
+}
+
+/// Batches whose answers nobody awaits wait longer, but not beside one whose answer is awaited.
+#[tokio::test]
+async fn batches_that_nobody_awaits_wait_longer() {
+    let (committer, shared) = started().await;
+    let patient = |session| committer.commit(Batch { is_patient: true, ..batch(session) });
+    let later = async |session| {
+        sleep(Duration::from_millis(100)).await;
+        patient(session).await
+    };
+    futures::future::try_join_all((1..6).map(patient)).await.unwrap();
+    let (first, second) = tokio::join!(patient(6), later(7));
+    first.and(second).unwrap();
+    futures::future::try_join_all((8..13).map(patient)).await.unwrap();
+    let awaited = committer.commit(batch(13));
+    let (first, second, third) = tokio::join!(awaited, patient(14), later(15));
+    first.and(second).and(third).unwrap();
+    assert_eq!(*shared.sizes.lock().unwrap(), [5, 2, 5, 2, 1]);
 }
 
 /// Batches that wait form transactions of some megabytes.
