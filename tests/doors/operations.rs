@@ -212,9 +212,10 @@ async fn every_call_deletes_what_has_ended_only() {
         assert_eq!(deleted_by(&doors, call, &name).await, Err("JOB_NOT_ENDED".to_owned()));
         drop(turns);
         assert_eq!(ended(&doors, &name).await["state"], "SUCCEEDED");
+        // The result and its figures.
         let results =
             || std::fs::read_dir(doors.folder().join("test.db.jobs/results")).unwrap().count();
-        assert_eq!(results(), 1);
+        assert_eq!(results(), 2);
         assert_eq!(deleted_by(&doors, call, &name).await, Ok(()));
         assert_eq!(results(), 0);
         assert_eq!(deleted_by(&doors, call, &name).await, Err("JOB_NOT_FOUND".to_owned()));
@@ -227,10 +228,11 @@ async fn a_job_that_has_ended_is_deleted(database: Database) {
     let (gone, kept) = (created(&doors, good()).await, created(&doors, good()).await);
     ended(&doors, &gone).await;
     ended(&doors, &kept).await;
+    // Two results with their figures.
     let results = || std::fs::read_dir(doors.folder().join("jobs/results")).unwrap().count();
-    assert_eq!(results(), 2);
+    assert_eq!(results(), 4);
     deleted(&mut client, &gone).await.unwrap();
-    assert_eq!(results(), 1);
+    assert_eq!(results(), 2);
     for refused in [
         deleted(&mut client, &gone).await.unwrap_err(),
         client.get_operation(GetOperationRequest { name: gone.clone() }).await.unwrap_err(),

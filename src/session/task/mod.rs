@@ -101,8 +101,7 @@ struct Active {
     epoch_time: Option<Duration>,
     /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
-    /// The last day, since 1970-01-01, on which a snapshot was kept for replay, as far as this task
-    /// knows.
+    /// The last day, since 1970-01-01, on which this task has kept a snapshot for replay.
     kept_day: Option<i64>,
 }
 
