@@ -65,9 +65,10 @@ impl RecordingArguments {
         self.base.is_some()
     }
 
-    /// The files of observations.
-    pub(crate) fn observed(&self) -> impl Iterator<Item = &Path> {
-        std::iter::once(&self.rover).chain(&self.base).map(PathBuf::as_path)
+    /// All files that they name.
+    pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
+        let aiding = self.nav.iter().chain(&self.antex).chain(&self.odometry);
+        std::iter::once(&self.rover).chain(&self.base).chain(aiding).map(PathBuf::as_path)
     }
 
     /// The inputs that they name.

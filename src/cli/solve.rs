@@ -146,17 +146,22 @@ impl SolveArguments {
         leap: LeapSeconds,
         presentation: Presentation,
     ) -> Result<Output, Failure> {
-        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-        if ResultFormat::from_ending(ending) != Some(ResultFormat::Rinex) {
-            return Ok(Output::Positions(create(path, comments, leap, presentation)?));
-        }
+        let format = ResultFormat::from_ending(ending(path)).ok_or_else(|| {
+            let message = format!("{} does not name a format", path.display());
+            let remedy =
+                "end the name in .pos, .csv, .geojson, .kml, .gpx, .nmea, .parquet, .rnx or .obs";
+            Failure::new(Code::UnknownOutputFormat, message, remedy)
+        })?;
         let is_input = |input: &Path| {
             let same = input.canonicalize().ok().zip(path.canonicalize().ok());
             same.is_some_and(|(input, output)| input == output)
         };
-        if self.recording.observed().any(is_input) {
+        if self.recording.files().any(is_input) {
             let message = format!("{} is an input", path.display());
             return Err(Failure::new(Code::FileNotWritable, message, "name another file"));
+        }
+        if format != ResultFormat::Rinex {
+            return Ok(Output::Positions(create(path, comments, leap, presentation)?));
         }
         let file = File::create(path).map_err(|error| unwritable(path, &error))?;
         Ok(Output::Observations(BufWriter::with_capacity(WRITE_BUFFER_BYTES, file)))
@@ -210,6 +215,11 @@ fn facts(
     .collect()
 }
 
+/// The ending of a file's name, empty where it has none.
+fn ending(path: &Path) -> &str {
+    path.extension().and_then(|ending| ending.to_str()).unwrap_or_default()
+}
+
 /// The file beside a rover's observations, with `.pos` in place of the ending (and of `.gz`).
 fn beside(rover: &Path) -> PathBuf {
     let packed = rover.extension().is_some_and(|ending| ending == "gz");
@@ -229,8 +239,7 @@ pub(super) fn create(
     leap: LeapSeconds,
     presentation: Presentation,
 ) -> Result<SolutionWriter<BufWriter<File>>, Failure> {
-    let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default();
-    let format = TrackFormat::from_name(ending).ok_or_else(|| {
+    let format = TrackFormat::from_name(ending(path)).ok_or_else(|| {
         let message = format!("{} does not name a format", path.display());
         let remedy = "end the name in .pos, .csv, .geojson, .kml, .gpx, .nmea or .parquet";
         Failure::new(Code::UnknownOutputFormat, message, remedy)
