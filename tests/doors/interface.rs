@@ -4,11 +4,17 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use graphfix::contract::access::CALLS;
+use graphfix::contract::v1;
 use graphfix::grpc::{DESCRIPTORS, grpc_code};
 use graphfix::http::http_status;
 use graphfix::refusal::{Class, Code};
 use prost::Message;
-use prost_types::{DescriptorProto, EnumDescriptorProto, FileDescriptorProto, FileDescriptorSet};
+use prost::encoding::{self, DecodeContext, WireType};
+use prost_types::field_descriptor_proto::Type;
+use prost_types::{
+    DescriptorProto, EnumDescriptorProto, FieldDescriptorProto, FileDescriptorProto,
+    FileDescriptorSet,
+};
 use serde_json::Value;
 
 const PACKAGE: &str = "graphfix.v1";
@@ -110,6 +116,44 @@ fn the_released_interface_still_holds() {
     let gone: Vec<&str> = released.lines().filter(|line| !present.contains(*line)).collect();
     assert!(1000 < released.lines().count(), "{RELEASED} is not whole");
     assert!(gone.is_empty(), "clients need what is gone or has changed:\n{}", gone.join("\n"));
+}
+
+/// The message of observations is written by hand: it has the fields of the schema, with their
+/// numbers, kinds on the wire and names in JSON.
+#[test]
+fn observations_have_the_fields_of_the_schema() {
+    let values = [1.0, 2.0, 3.0, 4.0].map(Some);
+    let [pseudorange_m, carrier_phase_cycles, doppler_hz, cn0_db_hz] = values;
+    let observation = v1::Observation {
+        satellite: "G05".into(),
+        code: "1C".into(),
+        pseudorange_m,
+        carrier_phase_cycles,
+        doppler_hz,
+        cn0_db_hz,
+        loss_of_lock: true,
+        half_cycle: true,
+    };
+    let mut written = BTreeSet::new();
+    let mut bytes = &*observation.encode_to_vec();
+    while !bytes.is_empty() {
+        let (number, kind) = encoding::decode_key(&mut bytes).unwrap();
+        encoding::skip_field(kind, number, &mut bytes, DecodeContext::default()).unwrap();
+        written.insert((number as i32, kind as i32));
+    }
+    let mut messages = files().into_iter().flat_map(|file| file.message_type);
+    let schema = messages.find(|message| message.name() == "Observation").unwrap();
+    let kind = |field: &FieldDescriptorProto| match field.r#type() {
+        Type::String => WireType::LengthDelimited as i32,
+        Type::Double => WireType::SixtyFourBit as i32,
+        Type::Bool => WireType::Varint as i32,
+        other => panic!("{} is {other:?}", field.name()),
+    };
+    let numbers = schema.field.iter().map(|field| (field.number(), kind(field)));
+    assert_eq!(written, numbers.collect());
+    let json = serde_json::to_value(&observation).unwrap();
+    let names: BTreeSet<&str> = json.as_object().unwrap().keys().map(String::as_str).collect();
+    assert_eq!(names, schema.field.iter().map(FieldDescriptorProto::json_name).collect());
 }
 
 /// What `buf lint` would ask of `proto/`, and that numbers are used one after another: a hole is a
