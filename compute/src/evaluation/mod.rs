@@ -15,6 +15,8 @@ mod overview;
 pub mod plot;
 mod report;
 mod run_page;
+#[cfg(test)]
+mod sample;
 mod statistics;
 
 pub use epoch::JudgedEpoch;

@@ -231,44 +231,22 @@ fn status_legend(statuses: impl Iterator<Item = Status>) -> String {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Matrix3, Vector3};
-
     use super::*;
-    use crate::gnss::{Dops, Enu, Protection, Provenance, RelativeEstimate, SolutionEstimate};
-
-    const PLACE: Ecef = Ecef::new(6_378_137.0, 0.0, 0.0);
+    use crate::evaluation::sample;
+    use crate::gnss::Protection;
 
     fn solution(second: u32, status: Status) -> Solution {
-        let time = GpsTime::from_week_seconds(2300, f64::from(second));
-        let relative = RelativeEstimate {
-            baseline_m: Vector3::zeros(),
-            age_s: 0.0,
-            ambiguities: 8,
-            fixed_ambiguities: 8,
-            ratio: Some(4.0),
-            success_rate: Some(0.99),
-            fix_probability: Some(0.995),
-        };
-        let east_m = f64::from(second) * 0.01;
-        let estimate = SolutionEstimate {
-            position: LocalFrame::at(PLACE).to_ecef(Enu(Vector3::new(east_m, 0.0, 0.5))),
-            covariance: Matrix3::identity() * 1e-4,
-            velocity: None,
-            clock_m: 0.0,
-            inter_system_biases_m: Vec::new(),
-            reception_time: time,
-            dops: Dops { gdop: 2.0, pdop: 1.5, hdop: 1.0, vdop: 1.0, tdop: 1.0 },
-            satellites_used: Vec::new(),
-            relative: (status == Status::Fixed).then_some(relative),
-        };
-        Solution {
-            time,
-            status,
-            estimate: (status != Status::None).then_some(estimate),
-            protection: Some(Protection { horizontal_m: 0.08, vertical_m: 0.1 }),
-            reasons: Vec::new(),
-            provenance: Provenance::default(),
+        let mut solution = sample::solution(second as usize, f64::from(second) * 0.01, status);
+        solution.protection = Some(Protection { horizontal_m: 0.08, vertical_m: 0.1 });
+        solution.estimate = solution.estimate.filter(|_| status != Status::None);
+        if let Some(estimate) = &mut solution.estimate {
+            estimate.position.0.x += 0.5; // Up at this place.
+            estimate.covariance *= 1e-4;
+            if let Some(relative) = &mut estimate.relative {
+                relative.fix_probability = Some(0.995);
+            }
         }
+        solution
     }
 
     fn figures(solutions: impl Iterator<Item = Solution>) -> String {
