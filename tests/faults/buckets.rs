@@ -15,7 +15,7 @@ use crate::doors::jobs::{all_turns, bytes_of, created, ended, post};
 use crate::support::buckets::{Buckets, Fault};
 use crate::support::database::{Database, on_postgres};
 use crate::support::doors::{Doors, code};
-use crate::support::jobs::{HOUR, MINUTE, body, form};
+use crate::support::jobs::{HOUR, MINUTE, body, form, until_ended};
 #[cfg(target_os = "linux")]
 use crate::support::nodes::{Node, Setting};
 use crate::support::server::{Server, free_port, program};
@@ -296,10 +296,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
         worker.0.wait().unwrap();
         assert_eq!(there.left(), 0, "a file of the killed worker");
         let other = Process(third.command("worker", &database).spawn().unwrap());
-        let has_ended = |job: &Value| {
-            job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
-        };
-        let done = until("ended", async || get(&job), has_ended).await;
+        let done = until_ended(async || get(&job)).await;
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let result = curl(port, &format!("/{job}/result"), &[]).unwrap();
         assert!(result == HOUR.solved(&["--mode", "fgo"], "pos"));

@@ -6,7 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 
 use crate::support::database::{Database, on_both_databases};
-use crate::support::jobs::LONG;
+use crate::support::jobs::{LONG, until_ended};
 use crate::support::server::{Server, free_port, opened};
 use crate::support::wait::until;
 
@@ -63,14 +63,7 @@ async fn jobs_outlive_kill_9(database: Database) {
     }
     for (job, mode) in jobs.iter().zip(["rtk-ekf", "spp"]) {
         let path = format!("{url}/{job}");
-        let ended = until(
-            "ended",
-            async || json(&[&path]),
-            |job: &Value| {
-                job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
-            },
-        );
-        let ended = ended.await;
+        let ended = until_ended(async || json(&[&path])).await;
         assert_eq!(ended["state"], "SUCCEEDED", "{ended}");
         let result = curl(&[&format!("{path}/result")]).unwrap();
         assert_eq!(result, LONG.solved(&["--mode", mode], "pos"));

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::support::database::{Database, on_postgres};
 use crate::support::drive::DRIVE;
-use crate::support::jobs::{HOUR, MINUTE, form};
+use crate::support::jobs::{HOUR, MINUTE, form, until_ended};
 use crate::support::nodes::{Node, Setting, created, of_session, push_of, two};
 use crate::support::server::{ask, free_port, get_with, program};
 use crate::support::wait::until;
@@ -64,10 +64,7 @@ fn job(node: &Node, id: &str) -> Value {
 }
 
 async fn ended(node: &Node, id: &str) -> Value {
-    let has_ended = |job: &Value| {
-        job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
-    };
-    until("ended", async || job(node, id), has_ended).await
+    until_ended(async || job(node, id)).await
 }
 
 fn result(node: &Node, id: &str) -> Vec<u8> {

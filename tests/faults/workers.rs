@@ -7,7 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use serde_json::Value;
 
 use crate::support::database::{Database, on_postgres};
-use crate::support::jobs::{HOUR, MINUTE, form};
+use crate::support::jobs::{HOUR, MINUTE, form, until_ended};
 use crate::support::server::{Server, free_port};
 use crate::support::wait::until;
 
@@ -109,6 +109,10 @@ impl World {
         until(what, async || self.get(0, &format!("/{job}")), is_so).await
     }
 
+    async fn until_ended(&self, job: &str) -> Value {
+        until_ended(async || self.get(0, &format!("/{job}"))).await
+    }
+
     fn results(&self) -> usize {
         self.files("results")
     }
@@ -118,10 +122,6 @@ impl World {
         let folder = self.folder.path().join("jobs").join(inside);
         std::fs::read_dir(folder).unwrap().count()
     }
-}
-
-fn has_ended(job: &Value) -> bool {
-    job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
 }
 
 fn runs(job: &Value) -> bool {
@@ -177,7 +177,7 @@ async fn a_killed_run_goes_on_after_its_checkpoint() {
         server.kill();
         server = world.served().await;
         let worker = world.worker(&[]);
-        let done = world.until_it(&job, "done", has_ended).await;
+        let done = world.until_ended(&job).await;
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let report = world.get(0, &format!("/{job}/report")).to_string();
         assert!(report.contains("answers are those of a run that was cut off"), "{report}");
@@ -202,7 +202,7 @@ async fn a_frozen_worker_loses_its_job() {
         world.until_it(&job, "running", runs).await;
         frozen.signal("STOP");
         let other = world.worker(&["--node", "other"]);
-        let done = world.until_it(&job, "done", has_ended).await;
+        let done = world.until_ended(&job).await;
         assert_eq!(done["state"], "SUCCEEDED", "{done}");
         let result = || world.curl(0, &format!("/{job}/result"), &[]).unwrap();
         let (first, report) = (result(), world.get(0, &format!("/{job}/report")));
@@ -211,7 +211,7 @@ async fn a_frozen_worker_loses_its_job() {
         // It has noticed once it takes another job.
         drop(other);
         let next = world.create(0, &files, "{\"mode\": \"spp\"}");
-        assert_eq!(world.until_it(&next, "done", has_ended).await["state"], "SUCCEEDED");
+        assert_eq!(world.until_ended(&next).await["state"], "SUCCEEDED");
         assert_eq!((world.get(0, &format!("/{job}/report")), result()), (report, first));
         assert_eq!(world.results(), 4, "the frozen worker has left a result");
         drop(server);
@@ -263,7 +263,7 @@ async fn a_job_that_ends_its_workers_fails() {
         drop(small); // Killed, as by an allocation that fails.
         world.database.execute("UPDATE jobs SET lost_claims = 4").await;
         let worker = world.worker(&[]);
-        let failed = world.until_it(&job, "ended", has_ended).await;
+        let failed = world.until_ended(&job).await;
         assert_eq!(failed["failure"]["code"], "JOB_LOST", "{failed}");
         assert_eq!(world.results(), 0, "{failed}");
         drop((worker, server));

@@ -11,6 +11,8 @@ use graphfix::formats::rinex::{
 use graphfix::simulation::{Scenario, Simulator};
 use serde_json::Value;
 
+use super::wait::until;
+
 /// Separates the parts of a body.
 pub(crate) const BOUNDARY: &str = "a-boundary-of-no-file";
 
@@ -72,6 +74,27 @@ pub(crate) fn form(files: &[PathBuf; 3], options: &str) -> Vec<String> {
         format!("options={options}"),
     ];
     parts.into_iter().flat_map(|part| ["-F".to_owned(), part]).collect()
+}
+
+/// Whether a job that was asked for runs no more.
+pub(crate) fn has_ended(job: &Value) -> bool {
+    job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
+}
+
+/// Asks for a job until it has ended.
+///
+/// Panics when it stands still: a busy machine may take long for a long recording.
+pub(crate) async fn until_ended(mut ask: impl AsyncFnMut() -> Value) -> Value {
+    let progress = |job: &Value| job["progress"]["epochs"].as_u64();
+    let mut last = None;
+    loop {
+        let goes_on = |job: &Value| has_ended(job) || progress(job) != last;
+        let job = until("ended or further", &mut ask, goes_on).await;
+        if has_ended(&job) {
+            return job;
+        }
+        last = progress(&job);
+    }
 }
 
 impl Files {
