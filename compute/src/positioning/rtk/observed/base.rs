@@ -1,6 +1,6 @@
 //! The base between epochs of the rover.
 
-use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, ObservationCode, SatelliteId};
+use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime};
 use crate::positioning::BasePositionCheck;
 use crate::positioning::aiding::BASE_LATER_S;
 use crate::positioning::aiding::BASE_MOVED_M;
@@ -9,21 +9,24 @@ use crate::positioning::measurements::ReceiverBands;
 use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
 
+use super::losses::{LockWatch, Tracked};
+
 /// The newest base epoch, and the possible slips of the base since the rover's last epoch.
 #[derive(Debug, Default)]
 pub(crate) struct BaseMemory {
     /// Name and last position of the base.
     station: Option<(String, Ecef)>,
     newest: Option<Epoch>,
-    /// Satellites and codes that lost lock.
-    lost: Vec<(SatelliteId, ObservationCode)>,
+    locks: LockWatch,
+    /// Carriers that may have slipped.
+    lost: Vec<Tracked>,
     /// The base lost power.
     power_failed: bool,
     /// The stated position, and its check.
     check: Option<(Ecef, BasePositionCheck)>,
 }
 
-state_fields!(BaseMemory { station, newest, lost, power_failed, check });
+state_fields!(BaseMemory { station, newest, locks, lost, power_failed, check });
 
 impl BaseMemory {
     /// Distance from the known base to this one (m), if this is another base.
@@ -49,8 +52,7 @@ impl BaseMemory {
                 continue;
             }
             self.power_failed |= epoch.power_failure;
-            let slipped = epoch.observations.iter().filter(|o| o.loss_of_lock);
-            self.lost.extend(slipped.map(|o| (o.satellite, o.code)));
+            self.locks.take(epoch, &mut self.lost);
             match &mut self.newest {
                 Some(newest) => {
                     newest.time = epoch.time;
@@ -99,8 +101,8 @@ impl BaseMemory {
         self.newest.as_ref()
     }
 
-    /// Whether the base lost power since the last call, and the carriers that lost lock.
-    pub(crate) fn take_losses(&mut self) -> (bool, Vec<(SatelliteId, ObservationCode)>) {
+    /// Whether the base lost power since the last call, and the carriers that may have slipped.
+    pub(crate) fn take_losses(&mut self) -> (bool, Vec<Tracked>) {
         (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost))
     }
 }

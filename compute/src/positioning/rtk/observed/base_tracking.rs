@@ -12,7 +12,7 @@ use crate::positioning::spp::SinglePoint;
 use crate::snapshot::state_fields;
 
 use super::base::BaseMemory;
-use super::losses::Losses;
+use super::losses::{LockWatch, Losses};
 
 /// A base that can be used.
 #[derive(Clone, Debug)]
@@ -56,11 +56,13 @@ pub(crate) struct BaseTracking {
     base: BaseMemory,
     /// Of the rover.
     levels: SignalLevels,
+    /// Of the rover.
+    locks: LockWatch,
     /// Time of the newest epoch answered.
     last: Option<GpsTime>,
 }
 
-state_fields!(BaseTracking { base, levels, last });
+state_fields!(BaseTracking { base, levels, locks, last });
 
 impl BaseTracking {
     /// Takes in an epoch and the new base epochs. `None`, and no change, if the epoch is not after
@@ -82,14 +84,15 @@ impl BaseTracking {
             self.base.know(base.station);
         }
         let base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
-        let lost = epoch.observations.iter().filter(|observation| observation.loss_of_lock);
+        let mut rover = Vec::new();
+        self.locks.take(epoch, &mut rover);
         let (power_failed, base_lost) = self.base.take_losses();
         let losses = Losses {
             all: epoch.power_failure
                 || power_failed
                 || base_moved_m.is_some()
                 || inputs.options().rtk.single_epoch,
-            rover: lost.map(|lost| (lost.satellite, lost.code)).collect(),
+            rover,
             base: base_lost,
         };
         Some(Received { losses, base_changed_m, base_moved_m })
