@@ -232,6 +232,21 @@ fn simulated_drives_are_better_than_single_points_and_honest() {
 
 /// A start with four satellites is not proven, even if they agree; the whole sky that follows
 /// proves it within ten seconds.
+/// Epochs so far apart that each counts as one after an outage.
+#[test]
+fn a_start_is_proven_by_epochs_half_a_minute_apart() {
+    let scenario = Scenario { base: None, duration_s: 300.0, ..Scenario::open_sky() };
+    let simulator = Simulator::new(scenario, 1);
+    let navigation = Navigation::clone(simulator.navigation());
+    let epochs: Vec<_> = simulator.map(|at| at.rover).step_by(30).collect();
+    let solutions = Recording { navigation, epochs }.causal(Mode::Fgo, Profile::General);
+    let is_doubted = |solution: &Solution| {
+        solution.reasons.iter().any(|reason| matches!(reason, Reason::StartUnproven { .. }))
+    };
+    let doubted: Vec<usize> = (0..solutions.len()).filter(|k| is_doubted(&solutions[*k])).collect();
+    assert_eq!((solutions.len(), doubted), (11, vec![0]));
+}
+
 #[test]
 fn a_start_is_doubted_until_it_is_proven() {
     let scenario = Scenario { base: None, duration_s: 40.0, ..Scenario::open_sky() };

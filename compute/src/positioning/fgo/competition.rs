@@ -78,7 +78,7 @@ impl Chain {
             return false;
         }
         let window = self.pooled(self.watch.unpooled_s(now), scratch);
-        let verdict = self.watch.judge(now, &window, self.is_proven);
+        let verdict = self.watch.judge(now, &window, self.unproven_s(now));
         match &verdict {
             Verdict::Proven => self.is_proven = true,
             Verdict::Open => {}

@@ -94,8 +94,8 @@ impl Watch {
         ((self.age_s(now) - FILLING_S) / SETTLING_S).clamp(0.0, 1.0)
     }
 
-    /// Time since the last start (s).
-    fn age_s(&self, now: GpsTime) -> f64 {
+    /// Time since the last start or outage (s).
+    pub(crate) fn age_s(&self, now: GpsTime) -> f64 {
         self.settling.map_or(0.0, |settling| now - settling)
     }
 
@@ -105,8 +105,14 @@ impl Watch {
     }
 
     /// Judges the position by the earlier pools and by the window's residuals, pooled over
-    /// [`Self::unpooled_s`]. If it `is_proven`, only a position to move to is searched for.
-    pub(crate) fn judge(&mut self, now: GpsTime, window: &[Pooled], is_proven: bool) -> Verdict {
+    /// [`Self::unpooled_s`]. `unproven_s` is the time that it has waited for a proof; where it is
+    /// `None`, only a position to move to is searched for.
+    pub(crate) fn judge(
+        &mut self,
+        now: GpsTime,
+        window: &[Pooled],
+        unproven_s: Option<f64>,
+    ) -> Verdict {
         self.searched = Some(now);
         let mut pool = window.to_vec();
         if POOL_S <= self.unpooled_s(now) {
@@ -124,14 +130,13 @@ impl Watch {
         let seed = now.as_ns() as u64;
         let (at_start, when_settled) = MOVE_LOG_ODDS;
         let threshold = at_start + (when_settled - at_start) * settled;
-        let least = if is_proven { threshold } else { -PROVEN_LOG_ODDS };
+        let least = if unproven_s.is_none() { threshold } else { -PROVEN_LOG_ODDS };
         match hypotheses::rivalry(&pool, knowledge, least, seed) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
-            Rivalry::Rival { .. } | Rivalry::Unrivalled if POOL_S <= self.age_s(now) => {
-                Verdict::Proven
-            }
-            _ => Verdict::Open,
+            _ if unproven_s.is_none_or(|age_s| age_s < POOL_S) => Verdict::Open,
+            Rivalry::Rival { .. } | Rivalry::Unrivalled => Verdict::Proven,
+            Rivalry::Undetermined => Verdict::Open,
         }
     }
 

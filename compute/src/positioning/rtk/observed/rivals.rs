@@ -71,7 +71,8 @@ impl PseudorangeWatch {
             return None;
         }
         let pool = self.pooled(now);
-        match self.watch.judge(now, &pool, self.is_proven) {
+        let unproven_s = (!self.is_proven).then(|| self.watch.age_s(now));
+        match self.watch.judge(now, &pool, unproven_s) {
             Verdict::Proven => self.is_proven = true,
             Verdict::Open => {}
             Verdict::Move(offset) => {
