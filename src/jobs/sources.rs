@@ -223,6 +223,7 @@ impl Source for SessionEpochs<'_> {
         let left_out = base.map(BaseRecording::left_out).into_iter();
         Provenance {
             base: base.map(BaseRecording::provenance),
+            is_base_unused: false,
             antennas: Vec::new(),
             unmatched_odometry: None,
             left_out: left_out.map(|(name, left_out)| (name.to_owned(), left_out)).collect(),

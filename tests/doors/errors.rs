@@ -14,6 +14,7 @@ use tower::ServiceExt;
 
 use crate::doors::http::navigation::navigation;
 use crate::support::doors::{Doors, code, epoch};
+use crate::support::jobs::MINUTE;
 
 /// Codes that no request in this file causes, each with the test file that does.
 const REACHED_BY: &[(Code, &str)] = &[
@@ -652,13 +653,15 @@ fn a_refused_start_has_its_code_and_remedy() {
     }
 }
 
-/// Commands that must fail, in a folder with `text.obs`, which is not RINEX.
+/// Commands that must fail, in a folder with `text.obs`, which is not RINEX, and `rover.obs`, which
+/// is.
 fn refused_commands() -> Vec<(&'static str, Code)> {
     vec![
         ("solve", Code::Usage),
         ("solve --rover none.obs --nav none.nav --output a.pos", Code::FileNotReadable),
         ("solve --rover text.obs --nav text.obs --output a.pos", Code::FileNotUnderstood),
-        ("solve --rover text.obs", Code::NavigationRequired),
+        ("solve --rover text.obs", Code::FileNotUnderstood),
+        ("solve --rover rover.obs", Code::NavigationRequired),
         ("evaluate --solution text.obs --truth text.obs", Code::FileMalformed),
         ("simulate --scenario clean --seed 1 --output /dev/null/x", Code::FileNotWritable),
     ]
@@ -668,6 +671,7 @@ fn refused_commands() -> Vec<(&'static str, Code)> {
 fn a_refused_command_has_its_code_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("text.obs"), "hello\n").unwrap();
+    std::fs::write(folder.path().join("rover.obs"), &MINUTE.rover).unwrap();
     for (arguments, code) in refused_commands() {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_graphfix"));
         let output = command.current_dir(&folder).args(arguments.split(' ')).output().unwrap();

@@ -5,7 +5,9 @@ use std::io::{self, BufRead, Cursor};
 use std::sync::Arc;
 
 use crate::formats::decompress;
-use crate::formats::observations::{FileError, FileFormat, Recognised};
+use crate::formats::observations::{FileError, FileFormat, Observations, Recognised};
+use crate::formats::receiver::TimeReference;
+use crate::gnss::Navigation;
 
 use super::RecordingError;
 
@@ -64,6 +66,17 @@ impl Input {
     /// Opens it and recognises its format.
     pub(super) fn recognised(&self) -> Result<Recognised<Reader>, RecordingError> {
         self.open().map(Recognised::new)
+    }
+
+    /// Opens it, and its observations.
+    pub(super) fn observations(
+        &self,
+        reference: Option<TimeReference>,
+        navigation: &Navigation,
+    ) -> Result<Observations<Reader>, RecordingError> {
+        let remedy = "name a RINEX observation file, UBX or RTCM 3 data, or a GnssLogger log";
+        Observations::new(self.recognised()?, reference, navigation)
+            .map_err(|error| self.not_understood(&error, error.remedy().unwrap_or(remedy)))
     }
 
     /// The error of a file that cannot be read to its end.

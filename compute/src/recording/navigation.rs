@@ -114,6 +114,8 @@ fn navigation_of<'a>(
     }
     match (own.is_empty(), observations.first()) {
         (true, Some(rover)) => {
+            // A file that holds no observations either is refused for that.
+            rover.observations(None, &Navigation::default())?;
             Err(RecordingError::NavigationRequired { name: rover.name().to_owned() })
         }
         _ => Ok(own),

@@ -21,17 +21,14 @@ pub(super) fn observations(
     dating: &Dating,
     navigation: &Navigation,
 ) -> Result<ObservationFile, RecordingError> {
-    let file = input.recognised()?;
     let mut reference = None;
-    if file.format() == FileFormat::Receiver {
+    if input.format()? == FileFormat::Receiver {
         reference = dating.of(input)?;
         if reference.is_none() {
             return Err(RecordingError::NoReferenceTime { name: input.name().to_owned() });
         }
     }
-    let remedy = "name a RINEX observation file, UBX or RTCM 3 data, or a GnssLogger log";
-    Observations::new(file, reference, navigation)
-        .map_err(|error| input.not_understood(&error, error.remedy().unwrap_or(remedy)))
+    input.observations(reference, navigation)
 }
 
 /// Station data in a file.

@@ -8,6 +8,8 @@ use crate::gnss::{BaseSite, Ecef, PositionSource, Signal};
 pub struct Provenance {
     /// Position of the base and its source, in modes relative to one.
     pub base: Option<BaseProvenance>,
+    /// Whether there is a base that the mode does not use.
+    pub is_base_unused: bool,
     /// The antennas that were looked up, the base's first.
     pub antennas: Vec<AntennaProvenance>,
     /// Number of rows of odometry without an epoch, if there is odometry.
@@ -49,12 +51,22 @@ pub struct AntennaProvenance {
 }
 
 impl Provenance {
+    /// The same of positions that are not relative to the base.
+    pub(super) fn without_base(mut self) -> Self {
+        self.is_base_unused = self.base.take().is_some();
+        self.antennas.retain(|antenna| antenna.receiver != "base");
+        self
+    }
+
     /// The provenance as lines of text; lines that need attention begin with "warning: ".
     pub fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if let Some(base) = &self.base {
             lines.push("positions are of the rover's antenna reference point".to_owned());
             lines.extend(base.lines());
+        }
+        if self.is_base_unused {
+            lines.push("base: not used, as the mode is not relative to one".to_owned());
         }
         lines.extend(self.antennas.iter().flat_map(AntennaProvenance::lines));
         if let Some(rows) = self.unmatched_odometry {

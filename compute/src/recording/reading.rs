@@ -202,6 +202,7 @@ impl<'a> Recording<'a> {
         let rover_antenna = self.antenna.as_ref().map(|(antenna, _)| antenna.provenance());
         Provenance {
             base: self.base.as_ref().map(BaseRecording::provenance),
+            is_base_unused: false,
             antennas: base_antenna.into_iter().chain(rover_antenna).collect(),
             unmatched_odometry: self.odometry.as_ref().map(OdometryRows::unmatched),
             left_out: left_out.into_iter().map(|(name, left)| (name.to_owned(), left)).collect(),

@@ -41,6 +41,8 @@ const LAYOUT: u16 = 1;
 /// ```
 pub struct Solutions<'a> {
     recording: Recording<'a>,
+    /// Whether the mode is relative to the base.
+    is_relative: bool,
     /// `None` after the last answer.
     solver: Option<Solver>,
     epoch: Epoch,
@@ -66,6 +68,7 @@ impl<'a> Solutions<'a> {
         inputs.check(&options, answer)?;
         Ok(Self {
             recording: Recording::open(inputs)?,
+            is_relative: options.mode.is_relative(),
             solver: Some(Solver::new(options, answer)),
             epoch: Epoch::new(GpsTime::EPOCH),
             epochs: 0,
@@ -86,7 +89,11 @@ impl<'a> Solutions<'a> {
 
     /// The provenance of the positions so far.
     pub fn provenance(&self) -> Provenance {
-        self.recording.provenance()
+        let provenance = self.recording.provenance();
+        match self.is_relative {
+            true => provenance,
+            false => provenance.without_base(),
+        }
     }
 
     /// What [`Self::resume`] needs to go on after the last epoch: the number of epochs and the

@@ -103,7 +103,11 @@ impl Tally {
         self.epochs += 1;
         self.answered += u64::from(solution.status != Status::None);
         count(&mut self.statuses, solution.status.name());
-        for reason in &solution.reasons {
+        let reasons = &solution.reasons;
+        for (index, reason) in reasons.iter().enumerate() {
+            if reasons[..index].iter().any(|before| before.code() == reason.code()) {
+                continue;
+            }
             count(&mut self.reasons, reason.code());
             self.remedies.entry(reason.code()).or_insert(reason.remedy());
         }
