@@ -271,6 +271,7 @@ impl From<JobError> for Refusal {
             | JobError::SpaceExhausted { .. }
             | JobError::Disk { .. }
             | JobError::UploadBusy { .. }
+            | JobError::UploadTooLong { .. }
             | JobError::UploadIncomplete { .. }
             | JobError::WorkerOnSqlite
             | JobError::FolderDiffers { .. }

@@ -143,6 +143,12 @@ pub enum JobError {
         /// Number of bytes that are stored.
         offset: u64,
     },
+    /// More bytes than the upload's length. None of the request's is stored.
+    #[error("the bytes go beyond the {length} bytes with which the upload began")]
+    UploadTooLong {
+        /// Size of the file (bytes).
+        length: u64,
+    },
     /// A job names an upload whose bytes are not all there.
     #[error("{offset} of {length} bytes of upload {id} are stored")]
     UploadIncomplete {
@@ -208,6 +214,7 @@ impl JobError {
             Self::UploadNotFound { .. } => Code::UploadNotFound,
             Self::UploadBusy { .. } => Code::UploadBusy,
             Self::UploadOffset { .. } => Code::UploadOffsetDiffers,
+            Self::UploadTooLong { .. } => Code::UploadTooLong,
             Self::UploadIncomplete { .. } => Code::UploadIncomplete,
             Self::WorkerOnSqlite => Code::WorkerNeedsPostgres,
             Self::FolderDiffers { .. } | Self::FolderNotShared { .. } => Code::JobFolderDiffers,

@@ -196,13 +196,16 @@ async fn computed(
 /// Removes expired jobs and their files until the service stops.
 pub(super) async fn expire(desk: Arc<Desk>) {
     let mut stopping = desk.stopping.subscribe();
-    // Err: the time has passed, and the service is not stopping.
-    while timeout(EXPIRY, stopping.wait_for(|stopping| *stopping)).await.is_err() {
-        if !desk.store.leads() {
-            continue; // The node that leads does it for all.
-        }
-        if let Err(error) = remove_expired(&desk).await {
+    loop {
+        // The node that leads does it for all.
+        if desk.store.leads()
+            && let Err(error) = remove_expired(&desk).await
+        {
             tracing::warn!(%error, "expired jobs are not removed yet");
+        }
+        // Err: the time has passed, and the service is not stopping.
+        if timeout(EXPIRY, stopping.wait_for(|stopping| *stopping)).await.is_ok() {
+            return;
         }
     }
 }

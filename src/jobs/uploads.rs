@@ -57,6 +57,8 @@ pub struct UploadInfo {
 pub struct Appending {
     desk: Arc<Desk>,
     upload: UploadInfo,
+    /// Its offset before this request.
+    begun: u64,
     /// It is locked until it is closed.
     file: File,
 }
@@ -130,7 +132,8 @@ impl Jobs {
             return Err(JobError::UploadOffset { offset: stored });
         }
         let upload = UploadInfo { offset, ..upload };
-        Ok(Appending { desk: self.desk.clone(), upload, file: File::from_std(file) })
+        let file = File::from_std(file);
+        Ok(Appending { desk: self.desk.clone(), upload, begun: offset, file })
     }
 
     /// Removes an upload. Jobs that name its file keep it.
@@ -189,13 +192,23 @@ impl Appending {
     /// # Errors
     /// They exceed the size of the file, all files together exceed their limit, or the disk fails.
     pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
-        let (more, limit) = (bytes.len() as u64, self.upload.length);
-        if limit < self.upload.offset + more {
-            return Err(JobError::FileTooLarge { limit });
+        let (more, length) = (bytes.len() as u64, self.upload.length);
+        if length < self.upload.offset + more {
+            self.take_back().await?;
+            return Err(JobError::UploadTooLong { length });
         }
         self.desk.files()?.reserve(more)?;
         self.file.write_all(bytes).await.map_err(failed)?;
         self.upload.offset += more;
+        Ok(())
+    }
+
+    /// Removes what this request has appended: which of its bytes are the file's is not known.
+    async fn take_back(&mut self) -> Result<(), JobError> {
+        self.file.flush().await.map_err(failed)?;
+        self.file.set_len(self.begun).await.map_err(failed)?;
+        self.desk.files()?.release(self.upload.offset - self.begun);
+        self.upload.offset = self.begun;
         Ok(())
     }
 

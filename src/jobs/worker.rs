@@ -30,7 +30,7 @@ impl Worker {
     /// Opens the service's folder, and starts to claim jobs: `limits.running` at the same time.
     ///
     /// # Errors
-    /// The database is SQLite, the folder is not the service's, or the store fails.
+    /// The folder is not the service's, or the store fails.
     pub async fn start(
         (store, aiding, meters): (Store, AidingLimits, Meters),
         (lane, connector): (BatchLane, Connector),
@@ -38,9 +38,6 @@ impl Worker {
         node: String,
         geoid: Option<Arc<Geoid>>,
     ) -> Result<Self, JobError> {
-        if store.file().is_some() {
-            return Err(JobError::WorkerOnSqlite);
-        }
         let folder = limits.folder.clone().ok_or(JobError::Off)?;
         let id = store.job_folder().await?;
         let files = JobFiles::join(folder, limits.clone(), id.as_deref()).await?;

@@ -116,6 +116,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::UploadNotFound, "tests/doors/uploads.rs"),
     (Code::UploadBusy, "tests/doors/uploads.rs"),
     (Code::UploadOffsetDiffers, "tests/doors/uploads.rs"),
+    (Code::UploadTooLong, "tests/doors/uploads.rs"),
     (Code::UploadIncomplete, "tests/doors/uploads.rs"),
     (Code::UploadProtocolUnknown, "tests/doors/uploads.rs"),
     (Code::JobLost, "tests/faults/workers.rs"),

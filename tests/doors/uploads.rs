@@ -152,13 +152,17 @@ async fn what_does_not_go_on_is_refused() {
         ("PATCH", &path, &[("upload-offset", "0")], "x", 415, "UNSUPPORTED_MEDIA_TYPE"),
         ("PATCH", &path, &[patch[0], ("upload-offset", "3")], "x", 409, "UPLOAD_OFFSET_DIFFERS"),
         ("PATCH", &path, &[patch[0]], "x", 400, "INVALID_FIELD"),
-        ("PATCH", &path, &patch, "12345678901", 413, "JOB_TOO_LARGE"),
+        ("PATCH", &path, &patch, "12345678901", 413, "UPLOAD_TOO_LONG"),
         ("PATCH", "/v1/uploads/upl_0", &patch, "x", 404, "UPLOAD_NOT_FOUND"),
     ] {
         let (answered, _, problem) = tus(&doors, method, at, headers, Body::from(content)).await;
         assert_eq!((answered.as_u16(), code(&problem)), (status, expected), "{method} {headers:?}");
     }
     // Nothing of what is refused is stored.
+    assert_eq!(offset(&doors, &path).await, 0);
+    let pieces = stream::iter(["1234567", "8901"].map(Ok::<_, std::io::Error>));
+    let (status, _, problem) = appended(&doors, &path, 0, Body::from_stream(pieces)).await;
+    assert_eq!((status.as_u16(), code(&problem)), (413, "UPLOAD_TOO_LONG"), "{problem}");
     assert_eq!(offset(&doors, &path).await, 0);
     let old = Request::patch(&path).header("tus-resumable", "0.2.2").body(Body::empty()).unwrap();
     let response = doors.router.clone().oneshot(old).await.unwrap();

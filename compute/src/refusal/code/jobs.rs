@@ -28,10 +28,11 @@ macro_rules! jobs {
     IdempotencyConflict = "IDEMPOTENCY_CONFLICT", Conflict,
         "send the request with a key of its own";
     /// The job has not ended.
-    JobNotEnded = "JOB_NOT_ENDED", Precondition, "ask for the job until its state is SUCCEEDED";
+    JobNotEnded = "JOB_NOT_ENDED", Precondition,
+        "ask for the job until it has ended, or cancel it first";
     /// The job has failed or was cancelled.
     JobWithoutResult = "JOB_WITHOUT_RESULT", Precondition,
-        "read the failure of the job, and create another one";
+        "read the state and the failure of the job, and create another one";
     /// A file of a job cannot be read or written.
     JobFilesFailed = "JOB_FILES_FAILED", Unavailable,
         "send the same request again; the operator finds the cause in the log";
@@ -50,6 +51,9 @@ macro_rules! jobs {
     /// The bytes do not begin where the upload ends.
     UploadOffsetDiffers = "UPLOAD_OFFSET_DIFFERS", Conflict,
         "ask for the offset by HEAD, and go on there";
+    /// The bytes go beyond the length with which the upload began.
+    UploadTooLong = "UPLOAD_TOO_LONG", TooLarge,
+        "send the bytes from the offset on only, or begin an upload of the file's length";
     /// The job names an upload whose bytes are not all there.
     UploadIncomplete = "UPLOAD_INCOMPLETE", Precondition,
         "complete the upload, then create the job";
