@@ -38,7 +38,7 @@ const WITHOUT_JSON: [&str; 10] = [
     "TrackResponse",
 ];
 const JSON: &str = "#[derive(serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
-    #[serde(rename_all = \"camelCase\", default, deny_unknown_fields)]";
+    #[serde(rename_all = \"camelCase\", default, deny_unknown_fields, expecting = \"an object\")]";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     println!("cargo::rerun-if-changed=proto");

@@ -42,6 +42,23 @@ pub fn time(message: Option<v1::GpsTime>, field: &str) -> Result<Option<GpsTime>
     message.map(read).transpose()
 }
 
+/// Reads the ends of a span of time, both optional.
+///
+/// # Errors
+/// A week or nanosecond is out of range, or the span ends before it begins.
+pub fn span(
+    from: Option<v1::GpsTime>,
+    to: Option<v1::GpsTime>,
+) -> Result<(Option<GpsTime>, Option<GpsTime>), Refusal> {
+    let (from, to) = (time(from, "from")?, time(to, "to")?);
+    match from.zip(to) {
+        Some((from, to)) if to < from => {
+            Err(Refusal::new(Code::InvalidField, "to is before from").at("to"))
+        }
+        _ => Ok((from, to)),
+    }
+}
+
 /// Reads and checks an epoch.
 ///
 /// # Errors

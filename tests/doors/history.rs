@@ -224,11 +224,12 @@ async fn a_fleet_is_the_sum_of_its_sessions(database: Database) {
         ("points=4001", "INVALID_FIELD", "points"),
         ("from=1000:0&to=1058:0", "INVALID_FIELD", "from"),
         ("from=yesterday", "INVALID_TIME", "from"),
+        ("from=2000:10&to=2000:5", "INVALID_FIELD", "to"),
     ] {
         let refusal = refused(&doors, &format!("/v1/history/fleet?{query}")).await;
         assert_eq!(refusal, (code.to_owned(), field.to_owned()), "{query}");
     }
-    let empty = answer(&doors, "/v1/history/fleet?from=2000:10&to=2000:5").await;
+    let empty = answer(&doors, "/v1/history/fleet?from=2000:5&to=2000:10").await;
     assert_eq!(empty["intervals"], json!([]));
     doors.close().await;
 }

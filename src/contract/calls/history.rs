@@ -58,7 +58,7 @@ pub async fn sessions(
     let v1::ListSessionHistoriesRequest { from, to, closed, mode, label, order, area, .. } =
         request;
     let filter = filter(closed, mode, label, order)?;
-    let span = (convert::time(from, "from")?, convert::time(to, "to")?);
+    let span = convert::span(from, to)?;
     let area = bounds(area)?;
     let bytes = size.min(PAGE_MAX) * SUMMARY_BYTES;
     Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
@@ -102,7 +102,7 @@ fn query(
     points: u32,
 ) -> Result<HistoryQuery, Refusal> {
     let points = page_size(points, POINTS);
-    let (from, to) = (convert::time(from, "from")?, convert::time(to, "to")?);
+    let (from, to) = convert::span(from, to)?;
     let bytes = READ_BYTES + points.min(SERIES_POINTS) * INTERVAL_BYTES;
     Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
     Ok(HistoryQuery { from, to, points })

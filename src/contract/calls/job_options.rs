@@ -92,10 +92,7 @@ fn session(
     }
     caller.check_reader()?;
     let bases = bases(caller, message, has_base)?;
-    let span = (convert::time(*from, "options.from")?, convert::time(*to, "options.to")?);
-    if span.0.zip(span.1).is_some_and(|(from, to)| to < from) {
-        return Err(Refusal::new(Code::InvalidField, "to is before from").at("options.to"));
-    }
+    let span = convert::span(*from, *to).map_err(|refusal| refusal.within("options"))?;
     Ok(Some(SessionSource {
         id: texts::brief(session).to_owned(),
         span_ns: (span.0.map(GpsTime::as_ns), span.1.map(GpsTime::as_ns)),

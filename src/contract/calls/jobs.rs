@@ -270,7 +270,11 @@ pub(super) async fn page(
 fn state(name: &str) -> Result<Option<JobState>, Refusal> {
     let known = || {
         JobState::from_name(name).ok_or_else(|| {
-            let message = format!("{:?} is not the state of a job", texts::brief(name));
+            let message = format!(
+                "{:?} is not the state of a job; known are QUEUED, RUNNING, SUCCEEDED, FAILED and \
+                 CANCELLED",
+                texts::brief(name)
+            );
             Refusal::new(Code::InvalidField, message).at("state")
         })
     };

@@ -24,7 +24,7 @@ pub async fn observations(
     request: v1::SessionObservationsRequest,
 ) -> Result<impl Stream<Item = Result<Bytes, Refusal>> + Send + use<>, Refusal> {
     let id = session_id(&request.session)?;
-    let span = (convert::time(request.from, "from")?, convert::time(request.to, "to")?);
+    let span = convert::span(request.from, request.to)?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(FILE_BYTES))?;
     let epochs = caller.sessions().observed(&id, span).await?;
     let header = header(epochs.clone()).await?;

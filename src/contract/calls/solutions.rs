@@ -42,9 +42,10 @@ pub async fn list(
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Solutions/List", &request, &token)?;
     let is_full = is_full(request.view)?;
+    let (from, to) = convert::span(request.from, request.to)?;
     let query = SolutionQuery {
-        from: convert::time(request.from, "from")?,
-        to: convert::time(request.to, "to")?,
+        from,
+        to,
         status: convert::status_filter(request.status)?,
         revisions: convert::revisions(request.revisions)?,
         page_size: size,
@@ -118,9 +119,10 @@ pub async fn series(
         let message = "a series has one revision of each epoch, last or first";
         return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
     }
+    let (from, to) = convert::span(from, to)?;
     let query = SeriesQuery {
-        from: convert::time(from, "from")?,
-        to: convert::time(to, "to")?,
+        from,
+        to,
         points: page_size(request.points, POINTS),
         revisions,
         page_token: pages.after().map(ToOwned::to_owned),
@@ -189,11 +191,8 @@ pub async fn residuals(
     request: v1::ResidualsRequest,
 ) -> Result<v1::ResidualsResponse, Refusal> {
     let id = session_id(&request.session)?;
-    let query = ResidualQuery {
-        from: convert::time(request.from, "from")?,
-        to: convert::time(request.to, "to")?,
-        points: page_size(request.points, RESIDUALS),
-    };
+    let (from, to) = convert::span(request.from, request.to)?;
+    let query = ResidualQuery { from, to, points: page_size(request.points, RESIDUALS) };
     let bytes = query.points.min(RESIDUAL_POINTS) * INTERVAL_BYTES;
     Lease::current().as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
     let points = caller.sessions().residuals(&id, &query).await?;

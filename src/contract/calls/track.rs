@@ -78,9 +78,10 @@ async fn solutions(
         );
         return Err(Refusal::new(Code::InvalidField, message).at("revisions"));
     }
+    let (from, to) = convert::span(request.from, request.to)?;
     let query = SolutionQuery {
-        from: convert::time(request.from, "from")?,
-        to: convert::time(request.to, "to")?,
+        from,
+        to,
         status: convert::status_filter(request.status)?,
         revisions,
         page_size: BATCH,
