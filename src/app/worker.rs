@@ -2,7 +2,7 @@
 
 use crate::config::ServiceConfiguration;
 use crate::feeds::TimeLimits;
-use crate::jobs::Worker;
+use crate::jobs::{JobError, Worker};
 use crate::quotas::{Meters, TenantQuotas};
 use crate::session::BatchLane;
 use crate::store::Store;
@@ -29,6 +29,9 @@ pub async fn open_worker(
     let geoid = configuration.geoid_file.as_deref().map(geoid_table).transpose()?;
     let connector = connector(fetch, time_limits)?;
     let node = node_name(configuration);
+    if database.starts_with("sqlite:") {
+        return Err(JobError::WorkerOnSqlite.into());
+    }
     let store = Store::open_existing(database).await?;
     let meters = Meters::default();
     let quotas = TenantQuotas::open(store.clone(), meters.clone()).await?;

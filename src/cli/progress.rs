@@ -25,7 +25,7 @@ pub(super) fn parse_speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Counts, shown each second on a terminal and at the end.
+/// Counts, shown each second on a terminal, else as a line every ten seconds, and at the end.
 pub(super) struct Progress {
     start: Instant,
     shown: Instant,
@@ -62,10 +62,17 @@ impl Progress {
             let has_position = result.summary.is_some_and(|summary| summary.position.is_some());
             self.positioned += u64::from(has_position);
         }
-        if self.terminal && Duration::from_secs(1) < self.shown.elapsed() {
+        if self.interval() < self.shown.elapsed() {
             self.shown = Instant::now();
-            eprint!("\r{}", self.line());
+            match self.terminal {
+                true => eprint!("\r{}", self.line()),
+                false => eprintln!("{}", self.line()),
+            }
         }
+    }
+
+    const fn interval(&self) -> Duration {
+        Duration::from_secs(if self.terminal { 1 } else { 10 })
     }
 
     /// Counts a refused epoch, and shows the first ones.

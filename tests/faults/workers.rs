@@ -281,7 +281,6 @@ async fn a_worker_that_cannot_work_says_so() {
         code.unwrap_or_else(|| panic!("{text}")).to_owned()
     }
     let sqlite = Database::sqlite();
-    sqlite.store().await.close().await;
     let folder = tempfile::tempdir().unwrap();
     let elsewhere = folder.path().to_str().unwrap();
     let on_sqlite = graphfix(&["worker", "--database", &sqlite.url, "--folder", elsewhere]);

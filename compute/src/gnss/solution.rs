@@ -115,7 +115,8 @@ pub struct RelativeEstimate {
     pub ambiguities: usize,
     /// Number of them fixed to integers; zero unless the status is [`Status::Fixed`].
     pub fixed_ambiguities: usize,
-    /// Ratio of second-best to best squared norm of the integers, if they were searched for.
+    /// Ratio of second-best to best squared norm of the integers, by their last search. Held
+    /// integers are not searched again and keep it.
     pub ratio: Option<f64>,
     /// Bootstrapped success rate of the integers, 0 to 1.
     pub success_rate: Option<f64>,
