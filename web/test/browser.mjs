@@ -11,6 +11,7 @@ import {
   FORMS, browser, capture, checkAccessibility, complaints, folder, open, run, serve, start, started, stopAll, until,
 } from "./harness.mjs";
 import { foreign } from "./foreign.mjs";
+import { jobResults } from "./job-results.mjs";
 import { jobs } from "./jobs.mjs";
 import { keys } from "./keys.mjs";
 import { delays, tiles } from "./live.mjs";
@@ -337,6 +338,7 @@ try {
   await emptyServiceTeaches();
   await signInIsAsked();
   await jobs();
+  await jobResults();
   await keys();
   await foreign();
   await truths();

@@ -165,9 +165,8 @@ function ReportView({ job, report: { epochs, statuses, reasons, provenance, skip
       <section class="card" aria-label="Origin">
         <h2>What they rest on</h2>
         <ul class="lines">
-          {job.inputs.filter(({ own }) => own).map(({ name }) => <li key={name}>navigation: {name}, added because the upload had none</li>)}
-          {others.map((line) => <li key={line}>{line}</li>)}
-          {others.length === 0 && !job.inputs.some(({ own }) => own) && <li>the uploaded files alone, without a base</li>}
+          {others.map((line) => <li key={line}>{line}{isOfAdded(job, line) && " (added by the service, not in the upload)"}</li>)}
+          {others.length === 0 && <li>the uploaded files alone, without a base</li>}
         </ul>
         {skipped.length > 0 && (
           <details>
@@ -179,6 +178,9 @@ function ReportView({ job, report: { epochs, statuses, reasons, provenance, skip
     </div>
   );
 }
+
+/** Whether a line of the report names an input that the service added: its part, its name, and for a base its frame. */
+const isOfAdded = ({ inputs }: Job, line: string): boolean => inputs.some(({ part, name, own }) => own && line.startsWith(`${part}: ${name}`));
 
 const byRank = (statuses: JobReport["statuses"]): JobReport["statuses"] => {
   const order = Object.keys(LOOKS);
