@@ -26,12 +26,23 @@ const PAGES = [
   { path: "api", name: "API", icon: "M8 7l-5 5 5 5M16 7l5 5-5 5M13.5 4l-3 16" },
 ];
 
+/** What stands for an address that cannot be decoded: no page has this path. */
+const NO_PAGE = [""];
+
+/** The parts of the address after #. */
+function partsOfAddress(): string[] {
+  try {
+    return decodeURIComponent(location.hash.replace(/^#\/?/, "")).split("/").filter(Boolean);
+  } catch {
+    return NO_PAGE; // URIError: a % that begins no character.
+  }
+}
+
 /** The route is the part of the address after #. */
 function useRoute(): string[] {
-  const parts = () => decodeURIComponent(location.hash.replace(/^#\/?/, "")).split("/").filter(Boolean);
-  const [route, setRoute] = useState(parts);
+  const [route, setRoute] = useState(partsOfAddress);
   useEffect(() => {
-    const changed = () => setRoute(parts());
+    const changed = () => setRoute(partsOfAddress());
     window.addEventListener("hashchange", changed);
     return () => window.removeEventListener("hashchange", changed);
   }, []);

@@ -196,6 +196,25 @@ async function errorsAreShown(address) {
   await page.context().close();
 }
 
+/** An address that is no page's, or cannot be decoded, says so; the next address is shown. */
+async function unknownAddressesAreShown(address) {
+  const page = await open(address, FORMS[0].options);
+  const heading = (name) => page.getByRole("heading", { level: 1, name }).waitFor();
+  for (const path of ["#/nowhere", "#/%", "#/jobs/%E0%A4%A"]) {
+    await page.goto(`${address}/${path}`);
+    await heading("No such page");
+    await page.goto(`${address}/#/api`);
+    await heading("API");
+  }
+  // Also as the first address.
+  await page.goto(`${address}/#/%`);
+  await page.reload();
+  await heading("No such page");
+  await page.getByRole("link", { name: "fleet", exact: true }).click();
+  await heading("Fleet");
+  await page.context().close();
+}
+
 /** Empty pages tell what to do; a service that ends is seen. */
 async function emptyServiceTeaches() {
   const { child, address } = await serve();
@@ -331,6 +350,7 @@ try {
   await fleetWithoutStream(address);
   await sessionIsInspected(address);
   await errorsAreShown(address);
+  await unknownAddressesAreShown(address);
   await tracksAreDownloaded(address);
   await demoHasAJob(address);
   await historyIsShown(address);
