@@ -14,7 +14,7 @@ import { KeysPage } from "./pages/keys";
 import { SessionPage } from "./pages/session";
 import { SessionHistoryPage } from "./pages/session-history";
 import { SignInPage } from "./pages/sign-in";
-import { SignedIn } from "./rights";
+import { type Right, SignedIn } from "./rights";
 
 const PAGES = [
   { path: "fleet", name: "Fleet", icon: "M4 18 10 9l5 6 5-9M4 18h.01M10 9h.01M15 15h.01M20 6h.01" },
@@ -125,12 +125,19 @@ function NodeName({ service: { value, problem } }: { service: Live<Readiness> })
   );
 }
 
+/** The pages that the user may see. Without the right admin the page of keys has quotas alone, for the right read. */
+function pagesOf(signedIn: SignInState | undefined): typeof PAGES {
+  const has = (right: Right) => !signedIn?.needed || signedIn.rights.includes(right);
+  if (has("admin")) return PAGES;
+  const others = PAGES.filter(({ path }) => path !== "keys" || has("read"));
+  return others.map((page) => (page.path === "keys" ? { ...page, name: "Quotas", title: "Quotas" } : page));
+}
+
 function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut: () => void }) {
   const [page, argument] = useRoute();
-  const mayAdmin = !signedIn?.needed || signedIn.rights.includes("admin");
-  const pages = PAGES.filter(({ path }) => path !== "keys" || mayAdmin);
+  const pages = pagesOf(signedIn);
   const service = useLive("readiness", readiness, 5000);
-  const known = PAGES.find(({ path }) => path === page);
+  const known = pages.find(({ path }) => path === page) ?? PAGES.find(({ path }) => path === page);
   const session = page === "sessions" && argument ? argument : undefined;
   const job = page === "jobs" && argument ? argument : undefined;
   useEffect(() => {

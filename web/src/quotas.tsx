@@ -42,7 +42,7 @@ const OPERATOR = "default";
 
 const tenants = (signal?: AbortSignal) => all<Tenant>("/v1/tenants", "tenants", 1000, signal);
 
-export function Quotas() {
+export function Quotas({ title = "Quotas" }: { title?: string }) {
   const [changed, setChanged] = useState<Tenant>();
   const live = useLive("tenants", tenants, 5000);
   const mayAdmin = useRight("admin");
@@ -50,7 +50,7 @@ export function Quotas() {
   const mayChange = mayAdmin && Boolean(list?.some(({ tenant }) => tenant === OPERATOR));
   return (
     <section class="quotas" aria-label="Quotas">
-      <h2>Quotas</h2>
+      <h2>{title}</h2>
       <p class="small">What each tenant may use, and what it uses. {mayChange ? "A change is in force at once." : "The operator sets them."}</p>
       {live.problem && <ProblemBox problem={live.problem} what={list ? "The quotas are not up to date" : "The quotas cannot be loaded"} />}
       {!list && !live.problem && <Loading what="the quotas" />}

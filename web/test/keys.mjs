@@ -139,19 +139,29 @@ export async function keys() {
     await other.context().close();
   }
 
-  // A reader sees neither keys nor forms.
+  // A reader finds the quotas, and sees neither keys nor forms.
   const display = await open(address, FORMS[0].options, ["401"]);
-  await display.goto(`${address}/#/keys`);
+  await display.goto(address);
   await signIn(display, reader);
-  await display.locator(".problem", { hasText: "RIGHT_MISSING" }).waitFor();
+  await display.getByRole("link", { name: "Quotas", exact: true }).click();
+  await display.getByRole("heading", { level: 1, name: "Quotas" }).waitFor();
   await card(display, "acme").waitFor();
+  assert.equal(await display.title(), "Quotas · Graphfix");
+  assert.equal(await display.locator(".problem, .key-row, .new-key").count(), 0);
   assert.equal(await display.getByRole("button", { name: /^Change the quotas/ }).count(), 0);
   assert.equal(await display.getByRole("link", { name: "Keys" }).count(), 0);
   await checkAccessibility(display, "keys without the right");
   await display.goto(`${address}/#/jobs`);
   await display.locator(".note", { hasText: "operate" }).waitFor();
   assert.equal(await display.locator(".new-job").count(), 0);
-  // Its key ends: the page asks for another.
+  // A key that may read nothing is told so, and has no such link.
+  const sender = await open(address, FORMS[0].options, ["401", "403"]);
+  await sender.goto(`${address}/#/keys`);
+  await signIn(sender, rotated);
+  await sender.locator(".problem", { hasText: "RIGHT_MISSING" }).waitFor();
+  assert.equal(await sender.getByRole("link", { name: /Keys|Quotas/ }).count(), 0);
+  await sender.context().close();
+  // The reader's key ends: the page asks for another.
   await row(page, "wall display").getByRole("button", { name: /^Revoke/ }).click();
   await page.getByRole("button", { name: "Revoke it" }).click();
   await display.getByRole("heading", { name: "Sign in" }).waitFor({ timeout: 30_000 });

@@ -1,4 +1,4 @@
-/** Keys and quotas for administrators: who may call what, and how much. */
+/** Keys for administrators, and quotas: who may call what, and how much. */
 import { useContext, useEffect, useRef, useState } from "preact/hooks";
 import { Problem, SIGNED_OUT, all, change, problemOf, signIn } from "../api";
 import { useLive } from "../live";
@@ -40,12 +40,20 @@ const agoOf = (utc: string): string => ago((Date.now() - Date.parse(utc)) / 1000
 export function KeysPage() {
   const mayAdmin = useRight("admin");
   const { needed, key: own, rights } = useContext(SignedIn);
+  if (!mayAdmin && rights.includes("read")) {
+    return (
+      <div class="page keys">
+        <h1>Quotas</h1>
+        <p class="note">Your key shows quotas. To see and make keys, sign in with a key that has the right <code>admin</code>.</p>
+        <Quotas title="Tenants" />
+      </div>
+    );
+  }
   if (!mayAdmin) {
     return (
       <div class="page keys">
         <h1>Keys and quotas</h1>
-        <ProblemBox problem={new Problem("RIGHT_MISSING", `your key has the ${rights.length === 1 ? "right" : "rights"} ${rights.join(", ")}; keys are shown to those with the right admin`, "sign out, and sign in with a key that has the right admin")} what="Keys are not shown" />
-        {rights.includes("read") && <Quotas />}
+        <ProblemBox problem={new Problem("RIGHT_MISSING", `your key has the ${rights.length === 1 ? "right" : "rights"} ${rights.join(", ")}; this page needs admin for keys, and read for quotas`, "sign out, and sign in with a key that has the right read or admin")} what="Keys and quotas are not shown" />
       </div>
     );
   }
