@@ -75,6 +75,27 @@ async function mapMovesByKeys(page) {
   await until("the map shows all", 5, async () => (await scale()) !== far);
 }
 
+/** A map without an area is not drawn, and nothing is logged; it is drawn whenever it has one. */
+async function mapWaitsForItsArea(address) {
+  const page = await open(address, FORMS[2].options);
+  await page.addInitScript(() => {
+    const flat = new CSSStyleSheet();
+    flat.replaceSync(".map-card.low .map { height: 0; min-height: 0; }");
+    document.adoptedStyleSheets = [flat];
+    globalThis.flatten = (isFlat) => { document.adoptedStyleSheets = isFlat ? [flat] : []; };
+  });
+  await page.goto(`${address}/#/bases`);
+  await page.locator(".map-card.low .map").waitFor({ state: "attached" });
+  const canvases = page.locator(".map-card.low canvas");
+  await page.waitForTimeout(500);
+  for (const isFlat of [true, false, true, false]) {
+    await page.evaluate((isFlat) => globalThis.flatten(isFlat), isFlat);
+    await until(`a ${isFlat ? "flat map is not" : "map is"} drawn`, 10, async () => (await canvases.count() === 0) === isFlat);
+  }
+  await until("the map has its scale", 10, async () => /\d+ k?m/.test(await page.locator(".low .ol-scale-line-inner").textContent()));
+  await page.context().close();
+}
+
 /** What is read, once it has been the same for a second: a key of the map takes effect with animation, at a later frame. */
 async function atRest(read) {
   let last = await read();
@@ -351,6 +372,7 @@ try {
   await sessionIsInspected(address);
   await errorsAreShown(address);
   await unknownAddressesAreShown(address);
+  await mapWaitsForItsArea(address);
   await tracksAreDownloaded(address);
   await demoHasAJob(address);
   await historyIsShown(address);

@@ -50,10 +50,12 @@ export class MapView {
   /** What is shown whole until the user moves the map. */
   private framed: Extent | undefined;
   private moved = false;
+  private readonly area: ResizeObserver;
 
   constructor(box: HTMLElement, target: HTMLElement) {
+    // Made before the map's own observer, so that it is asked first.
+    this.area = new ResizeObserver(() => this.drawInto(target));
     this.map = new OlMap({
-      target,
       keyboardEventTarget: box,
       view: this.view,
       controls: [new ScaleLine({ minWidth: 70 })],
@@ -85,9 +87,18 @@ export class MapView {
       if (MOVING.has(key)) moves();
       if (key === "0") this.fit();
     });
+    this.area.observe(target);
+    this.drawInto(target);
+  }
+
+  /** The map is in its element while this has an area: otherwise OpenLayers draws nothing, and warns in the console. */
+  private drawInto(target: HTMLElement): void {
+    const hasArea = 0 < target.offsetWidth && 0 < target.offsetHeight;
+    this.map.setTarget(hasArea ? target : undefined);
   }
 
   remove(): void {
+    this.area.disconnect();
     this.showBelow([]);
     this.map.setTarget(undefined);
     this.map.dispose();
