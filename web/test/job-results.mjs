@@ -1,9 +1,9 @@
-// What the page of a job says of its result: on what it rests.
+// What the pages say of the result of a job: on what it rests, and that no epoch has a position.
 import assert from "node:assert/strict";
 import { mkdtempSync, readFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
-import { FORMS, checkAccessibility, open, run, serve } from "./harness.mjs";
+import { FORMS, capture, checkAccessibility, open, run, serve } from "./harness.mjs";
 
 const recording = mkdtempSync(join(tmpdir(), "graphfix-results-"));
 const file = (name) => readFileSync(join(recording, name));
@@ -12,6 +12,13 @@ export async function jobResults() {
   run("simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "60", "--output", recording, "--force");
   const { address } = await serve();
   await addedInputsAreNamed(address);
+  await withoutPositions(address);
+}
+
+/** Navigation data of one satellite, for some hours: too little for a position. */
+function oneSatellite() {
+  const [header, records] = String(file("navigation.rnx")).split(/(?<=END OF HEADER *\n)/);
+  return `${header}${records.split("\n").slice(0, 8).join("\n")}\n`;
 }
 
 /** Creates a job from parts and options; returns its id. */
@@ -51,4 +58,35 @@ async function addedInputsAreNamed(address) {
   }
   await checkAccessibility(page, "a job with inputs of the service");
   await page.context().close();
+}
+
+/** A job that ran to its end and positioned nothing does not look like one that did. */
+async function withoutPositions(address) {
+  const alone = (name, navigation) =>
+    create(address, [["rover", file("rover.obs"), name], ["navigation", navigation, "navigation.rnx"]], { mode: "fgo" });
+  const none = await alone("nowhere.obs", oneSatellite());
+  const all = await alone("somewhere.obs", file("navigation.rnx"));
+  for (const form of FORMS) {
+    const page = await open(address, form.options);
+    await page.goto(`${address}/#/jobs`);
+    const row = page.locator(".job-row", { hasText: "nowhere.obs" });
+    await row.getByText("No position").waitFor({ timeout: 120_000 });
+    await row.getByText("61 epochs, none with a position, in ").waitFor();
+    assert.equal(await row.getByText("Succeeded").count(), 0);
+    const other = page.locator(".job-row", { hasText: "somewhere.obs" });
+    await other.getByText("Succeeded").waitFor({ timeout: 120_000 });
+    await other.getByText("61 epochs, all with a position, in ").waitFor();
+    await capture(page, "jobs-without-position", form);
+    await page.goto(`${address}/#/jobs/${none}`);
+    await page.locator(".job-state", { hasText: "No position" }).waitFor();
+    await page.locator(".note.warn", { hasText: "no epoch of 61 has a position" }).waitFor();
+    await page.locator(".job-result .figure", { hasText: "With a position" }).getByText("none").waitFor();
+    await page.locator("section[aria-label=Reasons]").getByText("EPHEMERIS_MISSING").waitFor();
+    await capture(page, "job-without-position", form);
+    await page.goto(`${address}/#/jobs/${all}`);
+    await page.locator(".job-state", { hasText: "Succeeded" }).waitFor();
+    await page.locator(".job-result .figure").first().waitFor();
+    assert.equal(await page.locator(".note.warn").count(), 0);
+    await page.context().close();
+  }
 }

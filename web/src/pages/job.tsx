@@ -4,7 +4,7 @@ import { type GpsTime, Problem, type StatusName } from "../api";
 import { type Job, type JobReport, eventsPath, hasEnded, job as jobOf, remove, report as reportOf, reportPagePath, resultPath } from "../jobs/api";
 import { Bar, setDraft } from "../jobs/new";
 import { PARSERS, type Row, horizontalSigma, load, thinned } from "../jobs/result";
-import { JobLamp, answerOf, left, nameOf, ranFor, when } from "../jobs/state";
+import { JobLamp, answerOf, isWithoutPosition, left, nameOf, ranFor, runTime, when } from "../jobs/state";
 import { useEvents, useLive } from "../live";
 import { type Layer, type TrackPoint, chosenEpoch, track } from "../map/layers";
 import { Map2d } from "../map/map";
@@ -41,7 +41,7 @@ export function JobPage({ id }: { id: string }) {
         <p class="crumb"><a href="#/jobs">← Jobs</a></p>
         <div class="title-row">
           <h1 class="break">{nameOf(job)}</h1>
-          <span class="badge-large job-state" role="status"><JobLamp state={job.state} /></span>
+          <span class="badge-large job-state" role="status"><JobLamp job={job} /></span>
           <span class="small"><b>{job.options.mode}</b> · {answerOf(job)} · profile {job.options.profile}</span>
         </div>
         <p class="small id"><code>{job.job}</code></p>
@@ -101,6 +101,7 @@ function Succeeded({ job }: { job: Job }) {
   const { value: report, problem } = useLive(`report:${job.job}`, (signal) => reportOf(job.job, signal), Infinity);
   return (
     <>
+      {isWithoutPosition(job) && <WithoutPosition job={job} />}
       <section class="card job-result" aria-label="Result">
         {report && <Summary job={job} report={report} />}
         <div class="job-take">
@@ -119,6 +120,17 @@ function Succeeded({ job }: { job: Job }) {
   );
 }
 
+/** A run that came to its end, and positioned nothing. */
+function WithoutPosition({ job: { progress: { epochs } } }: { job: Job }) {
+  return (
+    <p class="note warn" role="note">
+      {epochs === 0
+        ? "The job ran to its end, but there is no epoch in the file."
+        : `The job ran to its end, but no epoch of ${count(epochs)} has a position. “What limits them” says why, and what to do.`}
+    </p>
+  );
+}
+
 const part = (epochs: number, of: number): string => (of === 0 ? "–" : `${((epochs / of) * 100).toFixed(epochs === of || epochs === 0 ? 0 : 1)} %`);
 
 function Summary({ job, report: { epochs, answered, statuses, seconds, version, configurationHash } }: { job: Job; report: JobReport }) {
@@ -126,9 +138,9 @@ function Summary({ job, report: { epochs, answered, statuses, seconds, version, 
   return (
     <dl class="figures">
       <Figure name="Epochs" value={count(epochs)} />
-      <Figure name="With a position" value={part(answered, epochs)} hint={`${count(answered)} of ${count(epochs)}`} />
+      <Figure name="With a position" value={answered === 0 && 0 < epochs ? "none" : part(answered, epochs)} hint={`${count(answered)} of ${count(epochs)}`} />
       {job.options.mode.startsWith("rtk") && <Figure name="Fixed" value={part(fixed, epochs)} hint="with integer ambiguities: centimetres" />}
-      <Figure name="Time of the run" value={duration(seconds)} />
+      <Figure name="Time of the run" value={runTime(seconds)} />
       <Figure name="Rate" value={0 < seconds ? `${count(Math.round(epochs / seconds))} epochs/s` : "–"} />
       <Figure name="Computed by" value={`Graphfix ${version}`} />
       <Figure name="Configuration" value={<code>{configurationHash.slice(0, 12)}</code>} hint={configurationHash} />

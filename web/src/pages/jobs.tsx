@@ -3,7 +3,7 @@ import { useState } from "preact/hooks";
 import { type Problem, problemOf } from "../api";
 import { type Job, cancel, hasEnded, jobs, resultPath } from "../jobs/api";
 import { Bar, NewJob } from "../jobs/new";
-import { JobLamp, answerOf, left, nameOf, ranFor, when } from "../jobs/state";
+import { JobLamp, answerOf, left, nameOf, ranFor, tallyOf, when } from "../jobs/state";
 import { useLive } from "../live";
 import { useRight } from "../rights";
 import { bytes, count } from "../time";
@@ -45,7 +45,7 @@ function JobRow({ job, mayOperate }: { job: Job; mayOperate: boolean }) {
   const result = `${job.options.format}${job.resultBytes === null ? "" : `, ${bytes(job.resultBytes)}`}`;
   return (
     <li class="card job-row">
-      <JobLamp state={job.state} />
+      <JobLamp job={job} />
       <div class="job-what">
         <a href={`#/jobs/${job.job}`}>{nameOf(job)}</a>
         <span class="small">{job.options.mode} · {answerOf(job)} · {job.options.format} · {when(job.createdUtc)}</span>
@@ -54,7 +54,7 @@ function JobRow({ job, mayOperate }: { job: Job; mayOperate: boolean }) {
         {job.state === "RUNNING" && <Bar percent={percent} label={`Progress of ${nameOf(job)}`} />}
         {job.state === "QUEUED" && "waits for the jobs before it"}
         {job.state === "RUNNING" && <span>{percent.toFixed(0)} % · {count(epochs)} epochs{epochsPerSecond !== null && ` · ${count(Math.round(epochsPerSecond))}/s`} {remainingS !== null && `· ${left(remainingS)}`}</span>}
-        {job.state === "SUCCEEDED" && <span>{count(epochs)} epochs in {ranFor(job)}</span>}
+        {job.state === "SUCCEEDED" && <span>{tallyOf(job)}, in {ranFor(job)}</span>}
         {job.state === "FAILED" && <span class="break"><code>{job.failure?.code}</code> {job.failure?.message}</span>}
       </div>
       <div class="job-acts">
