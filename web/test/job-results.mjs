@@ -1,4 +1,4 @@
-// What the pages say of the result of a job: on what it rests, and that no epoch has a position.
+// What the pages say of the result of a job: on what it rests, and that there is no position or no track.
 import assert from "node:assert/strict";
 import { mkdtempSync, readFileSync } from "node:fs";
 import { tmpdir } from "node:os";
@@ -13,6 +13,7 @@ export async function jobResults() {
   const { address } = await serve();
   await addedInputsAreNamed(address);
   await withoutPositions(address);
+  await withoutTrack(address);
 }
 
 /** Navigation data of one satellite, for some hours: too little for a position. */
@@ -88,5 +89,34 @@ async function withoutPositions(address) {
     await page.locator(".job-result .figure").first().waitFor();
     assert.equal(await page.locator(".note.warn").count(), 0);
     await page.context().close();
+  }
+}
+
+/** Where there is no track, its place is not left empty; what is downloaded is said. */
+async function withoutTrack(address) {
+  const alone = (format, navigation) =>
+    create(address, [["rover", file("rover.obs"), `${format}.obs`], ["navigation", navigation, "navigation.rnx"]], { mode: "fgo", format });
+  const cases = [
+    [await alone("rinex", file("navigation.rnx")), "This page reads no track from a result as rinex"],
+    [await alone("csv", oneSatellite()), "so there is no track"],
+    [await alone("rinex", oneSatellite()), "so there is no track"],
+  ];
+  for (const [i, [job, words]] of cases.entries()) {
+    for (const form of FORMS) {
+      const page = await open(address, form.options);
+      await page.goto(`${address}/#/jobs/${job}`);
+      await page.locator("section[aria-label=Statuses]").waitFor({ timeout: 120_000 });
+      const notes = page.locator(".note");
+      assert.match(await notes.allTextContents().then((all) => all.join()), new RegExp(words));
+      assert.equal(await notes.count(), 1);
+      assert((await notes.boundingBox()).height < 200, "the note is as high as its words");
+      assert.equal(await page.locator(".job-map, .report-grid, .plots").count(), 0);
+      await page.getByRole("link", { name: "Report as a page", exact: true }).waitFor();
+      if (i === 0) await capture(page, "job-without-track", form);
+      const arriving = page.waitForEvent("download");
+      await page.getByRole("link", { name: "Download the report", exact: true }).click();
+      assert.equal((await arriving).suggestedFilename(), `${job}-report.html`);
+      await page.context().close();
+    }
   }
 }

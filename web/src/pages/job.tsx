@@ -108,7 +108,7 @@ function Succeeded({ job }: { job: Job }) {
           <a class="primary" href={resultPath(job.job)} download>Download {job.options.format}{job.resultBytes !== null && `, ${bytes(job.resultBytes)}`}</a>
           <span class="job-report">
             <a class="quiet" href={reportPagePath(job.job)} target="_blank" rel="noopener">Report as a page</a>
-            <a class="quiet" href={reportPagePath(job.job)} download={`${job.job}-report.html`} aria-label="Download the report as a page">Download</a>
+            <a class="quiet" href={reportPagePath(job.job)} download={`${job.job}-report.html`}>Download the report</a>
           </span>
           <span class="small">kept until {utc(Date.parse(job.expiresUtc) / 1000).slice(0, 16)} UTC</span>
         </div>
@@ -126,7 +126,7 @@ function WithoutPosition({ job: { progress: { epochs } } }: { job: Job }) {
     <p class="note warn" role="note">
       {epochs === 0
         ? "The job ran to its end, but there is no epoch in the file."
-        : `The job ran to its end, but no epoch of ${count(epochs)} has a position. “What limits them” says why, and what to do.`}
+        : `The job ran to its end, but no epoch of ${count(epochs)} has a position, so there is no track. “What limits them” says why, and what to do.`}
     </p>
   );
 }
@@ -202,8 +202,8 @@ const byRank = (statuses: JobReport["statuses"]): JobReport["statuses"] => {
 /** Track and plots, from the file of positions itself. */
 function Result({ job, report }: { job: Job; report: JobReport }) {
   const size = job.resultBytes ?? 0;
-  const isReadable = job.options.format in PARSERS;
-  const [wanted, setWanted] = useState(isReadable && size <= READ_BYTES);
+  const hasTrack = job.options.format in PARSERS && 0 < report.answered;
+  const [wanted, setWanted] = useState(hasTrack && size <= READ_BYTES);
   const [rows, setRows] = useState<Row[]>();
   const [problem, setProblem] = useState<Problem>();
   const [zoom, setZoom] = useState<[number, number]>();
@@ -223,15 +223,22 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
   const compared = useMemo(() => [{ name: "Result", epochs: epochsOf(rows ?? [], zoom) }], [rows, zoom]);
   const chart = { selected: chosen, onPick: setChosen, onZoom: (from: GpsTime, to: GpsTime) => setZoom([unixS(from), unixS(to)]) };
   const row = chosen === undefined ? undefined : rows?.[chosen - 1];
+  if (!hasTrack) {
+    return (
+      <>
+        {0 < report.answered && <p class="note">This page reads no track from a result as {job.options.format}: the <a href={reportPagePath(job.job)} target="_blank" rel="noopener">report as a page</a> shows it.</p>}
+        <div class="report-alone"><ReportView job={job} report={report} /></div>
+      </>
+    );
+  }
   return (
     <>
       <div class="report-grid">
         <div class="report-track">
-          {!isReadable && <p class="note">This page reads no track from a result as {job.options.format}: the <a href={reportPagePath(job.job)} target="_blank" rel="noopener">report as a page</a> shows it.</p>}
-          {isReadable && !wanted && <p><button type="button" class="quiet" onClick={() => setWanted(true)}>Show the track ({bytes(size)} to read)</button></p>}
+          {!wanted && <p><button type="button" class="quiet" onClick={() => setWanted(true)}>Show the track ({bytes(size)} to read)</button></p>}
           {problem && <ProblemBox problem={problem} what="The track cannot be shown" />}
           {wanted && !rows && !problem && <Loading what="the track" />}
-          {rows?.length === 0 && <p class="note">No epoch has a position, so there is no track.</p>}
+          {rows?.length === 0 && <p class="note">The result has no position that this page can read.</p>}
           {series && series.solutions > 0 && <ResultMap series={series} row={row} truth={truth} frameKey={`${job.job}:${zoom?.join()}`} onPick={setChosen} />}
         </div>
         <ReportView job={job} report={report} />
