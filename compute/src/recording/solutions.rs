@@ -317,6 +317,16 @@ mod tests {
         assert_eq!(base.averaged, EPOCHS as u64);
     }
 
+    #[test]
+    fn a_base_that_the_mode_does_not_use_is_said_to_be_unused() {
+        let inputs = simulated();
+        let of = |mode| Solutions::open(&inputs, options(mode), AnswerKind::Causal).unwrap();
+        let lines = of(Mode::Fgo).provenance().lines();
+        assert_eq!(lines, ["base: not used, as the mode is not relative to one"]);
+        let lines = of(Mode::RtkFgo).provenance().lines();
+        assert!(lines[1].starts_with("base: marker at "), "{lines:?}");
+    }
+
     /// Without navigation data, receiver data of the base are read for those, too.
     #[test]
     fn a_base_of_observations_and_navigation_data_is_listed_once() {

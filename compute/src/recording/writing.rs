@@ -134,7 +134,8 @@ mod tests {
     fn epochs_statuses_and_reasons_are_counted() {
         let mut tally = Tally::default();
         let missing = Reason::BaseMissing;
-        for reasons in [vec![], vec![missing.clone()], vec![Reason::NotConverged, missing]] {
+        let twice = vec![missing.clone(), Reason::NotConverged, missing.clone()];
+        for reasons in [vec![], vec![missing], twice] {
             tally.add(&Solution::none(GpsTime::EPOCH, reasons), None);
         }
         assert_eq!((tally.epochs, tally.answered), (3, 0));
