@@ -23,8 +23,7 @@ thead th{border-bottom:2px solid var(--ink);vertical-align:bottom}\
 .text th code{overflow-wrap:normal}.text td.number{text-align:right}li{overflow-wrap:anywhere}\
 .swatch{width:.8em;height:.8em;margin-right:.35em}\
 .legend span{display:inline-block;margin-right:1.4rem}figure{margin:1rem 0;overflow-x:auto}\
-figure>svg{max-width:100%;min-width:44rem;height:auto}\
-figcaption{color:var(--muted)}.wide{overflow-x:auto}\
+figure>svg{max-width:100%;height:auto}figcaption{color:var(--muted)}.wide{overflow-x:auto}\
 @media(prefers-color-scheme:dark){:root{--ink:#e8e8e8;--muted:#a8a8a8;--paper:#14181c;\
 --soft:#262c32;--line:#3a4148;--warn:#ffb27a}\
 [fill=\"#222222\"]{fill:#e8e8e8}[stroke=\"#222222\"]{stroke:#e8e8e8}\
