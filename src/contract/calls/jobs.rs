@@ -270,11 +270,8 @@ pub(super) async fn page(
 fn state(name: &str) -> Result<Option<JobState>, Refusal> {
     let known = || {
         JobState::from_name(name).ok_or_else(|| {
-            let message = format!(
-                "{:?} is not the state of a job; known are QUEUED, RUNNING, SUCCEEDED, FAILED and \
-                 CANCELLED",
-                texts::brief(name)
-            );
+            let (given, names) = (texts::brief(name), JobState::ALL.map(JobState::name).join(", "));
+            let message = format!("{given:?} is not the state of a job; known are {names}");
             Refusal::new(Code::InvalidField, message).at("state")
         })
     };

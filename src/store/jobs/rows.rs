@@ -23,7 +23,8 @@ pub enum JobState {
 }
 
 impl JobState {
-    const ALL: [Self; 5] =
+    /// All of them.
+    pub const ALL: [Self; 5] =
         [Self::Queued, Self::Running, Self::Succeeded, Self::Failed, Self::Cancelled];
 
     /// The name in the API and in the database.
