@@ -203,7 +203,8 @@ impl Appending {
         Ok(())
     }
 
-    /// Removes what this request has appended: which of its bytes are the file's is not known.
+    /// Removes what this request has appended. It has sent more than is left of the file, so its
+    /// bytes may be those of another file or of another offset.
     async fn take_back(&mut self) -> Result<(), JobError> {
         self.file.flush().await.map_err(failed)?;
         self.file.set_len(self.begun).await.map_err(failed)?;

@@ -537,6 +537,16 @@ async fn an_ended_job_expires_with_its_files() {
     assert_eq!(files(&doors), 0);
 }
 
+#[tokio::test]
+async fn an_expired_job_is_removed_at_the_start() {
+    let doors = doors(|limits| limits.keep_hours = 0).await;
+    let job = created(&doors, MINUTE.body(&json!({}))).await;
+    ended(&doors, &job).await;
+    let doors = doors.restarted().await;
+    let status = async || doors.get(&format!("/v1/jobs/{job}")).await.0;
+    crate::support::wait::until("removed", status, |status| *status == StatusCode::NOT_FOUND).await;
+}
+
 /// A server's database has no folder beside it.
 #[tokio::test]
 async fn without_a_folder_no_job_is_taken() {
