@@ -34,7 +34,7 @@ pub struct RtkOptions {
     pub handover_gap_free_s: f64,
     /// An ambiguity not observed for longer than this restarts (s).
     pub arc_gap_s: f64,
-    /// Number of epochs that stay nonlinear in the window.
+    /// Largest number of epochs in the window.
     pub window_epochs: usize,
     /// Whether all ambiguities restart at each epoch.
     pub single_epoch: bool,
@@ -98,7 +98,7 @@ impl RtkOptions {
             handover_distance_m: 1_000.0,
             handover_gap_free_s: 60.0,
             arc_gap_s: 35.0,
-            window_epochs: 2,
+            window_epochs: 10,
             single_epoch: false,
             resolve: true,
             ratio_min: 2.0,

@@ -99,7 +99,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "ambiguity.window_epochs", unit: "",
-        meaning: "number of epochs in the window; older ones are marginalised into a prior",
+        meaning: "largest number of epochs in the window; older ones are marginalised into a prior",
         allowed: "a whole number from 1 to 100",
         get: |o| o.rtk.window_epochs.to_string(),
         set: |o, text| whole(text, 1, 100).map(|v| o.rtk.window_epochs = v),

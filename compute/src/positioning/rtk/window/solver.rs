@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::Matrix3;
 
-use crate::config::RtkOptions;
+use crate::config::{PositioningOptions, RtkOptions};
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
 use crate::positioning::engine::EpochInputs;
@@ -20,6 +20,9 @@ use crate::positioning::setup::Setup;
 
 use super::chain::Chain;
 use super::history::{FactoredWindow, History};
+
+/// Epochs of the shortest window: a slip shows in the change since the last epoch.
+const EPOCHS_LEAST: usize = 2;
 
 /// Scratch of the window.
 #[derive(Debug)]
@@ -170,6 +173,21 @@ impl RelativeSolver for Chain {
 }
 
 impl Chain {
+    /// Whether the oldest epoch leaves.
+    ///
+    /// Without integers the last `window_s` are weighted again with each epoch, since the epochs
+    /// together tell which pseudoranges are reflected. Integers tell the position to a centimetre,
+    /// so then there is nothing left to weigh.
+    fn is_too_long(&self, options: &PositioningOptions) -> bool {
+        let ([oldest, .., newest], count) = (self.epochs.as_slice(), self.epochs.len()) else {
+            return false;
+        };
+        let is_late = options.graph.window_s < newest.time - oldest.time;
+        let is_over = options.rtk.window_epochs < count;
+        let is_known = 0 < self.tracking.hold.consecutive_epochs;
+        is_over || EPOCHS_LEAST < count && (is_late || is_known)
+    }
+
     /// Marginalises the epochs that leave and solves the window, until no slip is found.
     fn settle(
         &mut self,
@@ -180,7 +198,7 @@ impl Chain {
     ) -> Option<()> {
         let ChainScratch { rows, workspace, oldest, .. } = scratch;
         let settings = &setup.relative;
-        while setup.options.rtk.window_epochs < self.epochs.len() {
+        while self.is_too_long(&setup.options) {
             self.forget_oldest(settings, history.as_deref_mut(), rows, oldest).ok()?;
         }
         for _ in 0..SLIP_ROUNDS {
