@@ -7,18 +7,16 @@ use nalgebra::DMatrix;
 use crate::lambda::reduction::Reduction;
 use crate::lambda::resolver::Options;
 use crate::lambda::search::{Search, SearchLimits, SearchOutcome};
-use crate::lambda::validation::{posterior, ratio};
+use crate::lambda::validation::{log_evidence, posterior, ratio};
 use crate::lambda::{LambdaError, odds_at_scale};
 
-/// What a search without some of the entries says about the known integers.
+/// What a search without some of the entries says.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Separated {
-    /// Whether it finds them again.
-    pub(crate) agrees: bool,
-    /// Posterior probability of the integers that it finds.
+    /// Posterior probability of the known integers.
     pub(crate) probability: f64,
-    /// Odds of the known integers against these.
-    pub(crate) odds: f64,
+    /// ln of the density of the floats that are left, whatever their integers.
+    pub(crate) log_evidence: f64,
 }
 
 /// A decorrelated estimate with known integers. Its buffers are used again.
@@ -78,17 +76,16 @@ impl Separation {
         if matches!(outcome, SearchOutcome::LimitReached { .. }) || ratio(norms).is_none() {
             return None;
         }
-        let probability = posterior(norms, self.part.variances(), options.scale);
-        let agrees = self.search.candidate(0).iter().all(|integer| *integer == 0.0);
-        let odds = match (agrees, options.scale) {
-            (false, Some(scale)) => {
-                let own = self.part.squared_norm();
-                odds_at_scale([own, norms[0].min(own)], self.part.size(), scale)
-            }
-            (false, None) => (0.5 * (norms[0] - self.part.squared_norm())).exp().min(1.0),
-            (true, _) => 1.0,
+        let variances = self.part.variances();
+        let of_best = posterior(norms, variances, options.scale);
+        let log_evidence = log_evidence(norms[0], of_best, variances, options.scale);
+        let own = self.part.squared_norm();
+        let best = norms[0].min(own);
+        let odds = match options.scale {
+            Some(scale) => odds_at_scale([own, best], self.part.size(), scale),
+            None => (0.5 * (best - own)).exp(),
         };
-        Some(Separated { agrees, probability, odds })
+        Some(Separated { probability: of_best * odds, log_evidence })
     }
 }
 
@@ -128,25 +125,30 @@ mod tests {
                 let floats: Vec<f64> = kept.iter().map(|&i| moved[i]).collect();
                 let mut resolver = Resolver::with_capacity(size);
                 let direct = resolver.resolve(&floats, &part, Partial::None, &limits).unwrap();
-                assert!((found.probability - direct.probability.unwrap()).abs() < 1e-9);
-                let zero = resolver.fix().entries().iter().all(|z| *z == Some(0));
-                assert_eq!(found.agrees, zero, "{left_out:?}");
+                let best = direct.probability.unwrap();
+                match resolver.fix().entries().iter().all(|z| *z == Some(0)) {
+                    true => assert!((found.probability - best).abs() < 1e-9, "{left_out:?}"),
+                    false => assert!(found.probability < 1.0 - best + 1e-9, "{left_out:?}"),
+                }
             }
         }
     }
 
-    /// Known integers that are not the best: the odds are those of the two squared norms.
+    /// Known integers that are not the best have e^−7.5 of the probability of these.
     #[test]
-    fn odds_worked_by_hand() {
+    fn a_probability_worked_by_hand() {
         let mut separation = Separation::with_capacity(2);
         let covariance = DMatrix::from_diagonal_element(2, 2, 0.04);
         // One entry is left, 0.8 off the known integer and −0.2 off the best one: norms 16 and 1.
         separation.load([0.1, 0.8].into_iter(), &covariance).unwrap();
         let found = separation.without([[0]].into_iter(), &options()).unwrap();
-        assert!(!found.agrees && (found.odds - (-7.5_f64).exp()).abs() < 1e-12);
+        let all: f64 = [0.2_f64, 0.8, 1.2].map(|off| (-12.5 * off * off).exp()).iter().sum();
+        assert!((found.probability - (-8_f64).exp() / all).abs() < 1e-6, "{found:?}");
+        let density = all / (std::f64::consts::TAU * 0.04).sqrt();
+        assert!((found.log_evidence - density.ln()).abs() < 1e-3, "{found:?}");
         let (strict, none) =
             (Options { fixed_min: 2, ..options() }, std::iter::empty::<[usize; 1]>());
         assert_eq!(separation.without([[0]].into_iter(), &strict), None);
-        assert!(!separation.without(none, &strict).unwrap().agrees);
+        assert!(separation.without(none, &strict).unwrap().probability < 0.5);
     }
 }

@@ -96,6 +96,43 @@ fn scaled_posterior_probability(
     1.0 / (found + log_factor.exp() * integral)
 }
 
+/// ln Σ_{z ∈ ℤⁿ} f(‖â−z‖²): the density of the n floats under a flat prior over all integers, given
+/// the best squared norm q₁ and the posterior P of the best integers, f(q₁)/P.
+///
+/// f is normal where the scale is exact, else Γ((ν+n)/2)/Γ(ν/2)·(πνs²)^−n/2 |Q|^−½
+/// (1 + q/νs²)^−(ν+n)/2, the density of [`scaled_posterior_probability`] with its constants.
+pub(in crate::lambda) fn log_evidence(
+    best: f64,
+    probability: f64,
+    conditional_variances: &[f64],
+    scale: Option<KnownScale>,
+) -> f64 {
+    let n = conditional_variances.len() as f64;
+    let log_of_best = match scale {
+        Some(KnownScale { freedom, variance }) => {
+            let (power, known) = (0.5 * (freedom + n), freedom * variance);
+            let constant =
+                log_gamma(power) - log_gamma(0.5 * freedom) - 0.5 * n * (PI * known).ln();
+            constant - power * (best / known).ln_1p()
+        }
+        None => -0.5 * (n * TAU.ln() + best),
+    };
+    log_of_best - 0.5 * log_determinant(conditional_variances) - probability.ln()
+}
+
+/// ln Γ(x) for x > 0, to 10⁻⁹: Stirling's series beyond 8, below by Γ(x + 1) = x·Γ(x).
+///
+/// Source: Abramowitz & Stegun (1964), *Handbook of Mathematical Functions*, 6.1.41.
+fn log_gamma(x: f64) -> f64 {
+    let (mut a, mut steps) = (x, 0.0);
+    while a < 8.0 {
+        steps += a.ln();
+        a += 1.0;
+    }
+    let series = 1.0 / (12.0 * a) - 1.0 / (360.0 * a.powi(3)) + 1.0 / (1260.0 * a.powi(5));
+    (a - 0.5) * a.ln() - a + 0.5 * TAU.ln() + series - steps
+}
+
 /// ln Γ(n/2) for n of at least one, by Γ(a + 1) = a·Γ(a).
 fn log_gamma_of_half(n: usize) -> f64 {
     let (mut a, mut log) = if n % 2 == 1 { (0.5, 0.5 * PI.ln()) } else { (1.0, 0.0) };
@@ -135,6 +172,39 @@ mod tests {
         assert!((odds_at_scale([8.0, 2.0], 2, scale(4.0)) - 0.125).abs() < 1e-15);
         assert!((odds_at_scale([8.0, 2.0], 2, scale(1e9)) - (-3_f64).exp()).abs() < 1e-6);
         assert_eq!(odds_at_scale([5.0, 5.0], 7, scale(4.0)), 1.0);
+    }
+
+    /// Γ(½) = √π, Γ(5) = 24, Γ(10.5) = 1133278.388949 (Abramowitz & Stegun 1964, table 6.1, by its
+    /// recurrence).
+    #[test]
+    fn gamma_at_known_places() {
+        for (x, gamma) in [(0.5, PI.sqrt()), (5.0, 24.0), (10.5, 1_133_278.388_948_785)] {
+            assert!((log_gamma(x) - f64::ln(gamma)).abs() < 1e-9, "{x}");
+            let twice = (2.0 * x) as usize;
+            assert!((log_gamma(x) - log_gamma_of_half(twice)).abs() < 1e-9, "{x}");
+        }
+    }
+
+    /// One float of variance 0.04, 0.1 from the nearest integer: over a cycle the density of the
+    /// fraction integrates to one, so its mean is one, and a sharp one is that of a normal.
+    #[test]
+    fn the_evidence_is_a_density_of_the_fraction() {
+        let scales = [None, Some(KnownScale { freedom: 8.0, variance: 0.7 })];
+        for scale in scales {
+            let steps = 400;
+            let density = |k: i32| {
+                let fraction = (f64::from(k) + 0.5) / f64::from(steps) - 0.5;
+                let mut norms: Vec<f64> =
+                    (-6..=6).map(|z| (fraction - f64::from(z)).powi(2) / 0.04).collect();
+                norms.sort_unstable_by(f64::total_cmp);
+                let probability = posterior(&norms, &[0.04], scale);
+                log_evidence(norms[0], probability, &[0.04], scale).exp()
+            };
+            let mean = (0..steps).map(density).sum::<f64>() / f64::from(steps);
+            assert!((mean - 1.0).abs() < 2e-3, "{mean}");
+        }
+        let sharp = log_evidence(4.0, 1.0, &[1e-4], None);
+        assert!((sharp - (-2.0 - 0.5 * (TAU * 1e-4).ln())).abs() < 1e-12);
     }
 
     /// The usual 95 % quantiles of χ²: n = 1, 2, 5, 10.

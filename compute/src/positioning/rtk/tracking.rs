@@ -8,7 +8,7 @@ use crate::snapshot::state_fields;
 
 use super::ambiguity::{
     Confirmation, FOUND_EPOCHS, FixedEpoch, FloatSolution, HoldState, IntegerQuestion,
-    IntegerSearch, KnownPosition, NEARLY_CERTAIN, PhasePosition, Resolution, Verdict as Separated,
+    IntegerSearch, KnownPosition, NEARLY_CERTAIN, PhasePosition, Resolution,
     position_from_fixed_phases, subtract_common_cycles, subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
@@ -19,11 +19,6 @@ const MISFIT_SIGMAS: f64 = 4.0;
 const RIGHT_WITHIN_M: f64 = 0.1;
 /// Largest undetected shift by one faulty satellite for a fix to be accepted (m).
 const UNDETECTED_SHIFT_MAX_M: f64 = RIGHT_WITHIN_M;
-
-/// Prior probability of confirmed integers in the test without one satellite.
-const CONFIRMED: f64 = NEARLY_CERTAIN;
-/// The same for integers that are not confirmed yet.
-const UNKNOWN: f64 = 0.5;
 
 /// State of the carriers that rover and base both observe.
 #[derive(Debug)]
@@ -91,8 +86,8 @@ impl Tracking {
         if !options.rtk.resolve {
             return Resolution::unresolved(self.arcs.present(epoch.time).count());
         }
-        let noise = self.receivers.known_noise(&residuals);
-        let question = IntegerQuestion { time: epoch.time, float, noise, options: &options.rtk };
+        let scale = self.receivers.known_scale(&residuals);
+        let question = IntegerQuestion { time: epoch.time, float, scale, options: &options.rtk };
         let is_confirmed =
             self.confirmation.is_confirmed() && self.confirmed_period == Some(self.hold.period);
         let mut resolution =
@@ -156,13 +151,12 @@ impl Tracking {
         let mut satellites: Vec<_> = with_integer.map(|arc| arc.satellite).collect();
         satellites.sort_unstable();
         satellites.dedup();
-        let prior = if was_confirmed { CONFIRMED } else { UNKNOWN };
         let mut separator = search.separator(arcs, question);
-        let test = |satellite| separator.as_mut()?.without(satellite, prior);
-        let verdict = confirmation.update(&satellites, test);
-        hold.reliability = confirmation.reliability();
+        let test = |satellite| separator.as_mut()?.without(satellite);
+        confirmation.update(&satellites, question.options.probability_min, test);
+        hold.reliability = confirmation.probability();
         if was_confirmed && !confirmation.is_confirmed() {
-            hold.drop_all(arcs, verdict == Separated::Contradicts);
+            hold.drop_all(arcs, true);
         }
         hold.was_held |= confirmation.is_confirmed();
         let is_repeated = FOUND_EPOCHS <= hold.consecutive_epochs;

@@ -1,13 +1,21 @@
 //! Confirms a fix by leaving out each satellite in turn: solution separation, applied to integers.
 //!
-//! Multipath on one satellite biases the float ambiguities, and the posterior probability does not
-//! model it. A search without that satellite finds other integers, or none. So integers are
-//! confirmed if the search finds them again without most of the satellites, left out one at a time,
-//! and never finds other likely ones.
+//! Multipath on one satellite biases the float ambiguities, and the posterior probability of a
+//! search does not model it. So there are n + 1 models of an epoch: no carrier is faulty, or those
+//! of one of the n satellites. In the latter, the fractional parts of its ambiguities are uniform,
+//! and the others have the integers of a search without it. Averaged over the models, each with its
+//! prior probability and the evidence of the floats for it, the held integers have the probability
 //!
-//! The searches also say how far a fix depends on single satellites. With the probability ε that
-//! one carrier is faulty, the mean of their probabilities counts as much as ε, the search with all
-//! satellites as much as 1 − ε: Bayesian model averaging over who is faulty.
+//! P = ((1 − ε) + ε/n·Σ Eᵢ·pᵢ)/((1 − ε) + ε/n·Σ Eᵢ),
+//!
+//! ε the prior probability that one of them is faulty, Eᵢ the density of the floats without
+//! satellite i over that of all floats, and pᵢ the probability that the search without it gives to
+//! the held integers. The model without a fault counts them as certain here: what its own search
+//! says is a factor of its own.
+//!
+//! The evidence is worth as much as the covariance of the floats. Where multipath makes that too
+//! small, all floats may fit wrong integers, and every Eᵢ is small. So P is also computed with
+//! Eᵢ = 1, the prior weights, and the smaller of the two counts.
 //!
 //! Source: the idea is that of solution separation, Brown & McBurney (1988), *Self-contained GPS
 //! integrity check using maximum solution separation*, Navigation 35(1), 41–53. Model averaging:
@@ -15,47 +23,40 @@
 //! Science 14(4), 382–417.
 
 use crate::gnss::SatelliteId;
-use crate::snapshot::{snapshot_fields, snapshot_variants, state_fields};
+use crate::snapshot::{snapshot_fields, state_fields};
 
-use super::joint::FAULTY;
+use super::hold::NEARLY_CERTAIN;
+use super::joint::{FAULTY, scale_odds};
 
-/// Fraction of the satellites for which a search without that satellite must find the integers
-/// again.
-const CONFIRMING_SHARE: f64 = 0.5;
-
-/// Least number of those satellites, so that each search has more satellites than the position and
-/// the clock have unknowns.
-const CONFIRMING_LEAST: usize = 5;
-
-/// What the search finds without one satellite.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
-    /// The same integers.
-    Agrees,
-    /// None that are likely.
-    Silent,
-    /// Other integers, which are likely.
-    Contradicts,
-}
+/// Odds of confirmed integers before a search: many epochs have found them.
+const CONFIRMED_ODDS: f64 = NEARLY_CERTAIN / (1.0 - NEARLY_CERTAIN);
+/// Confirmed integers that are less likely right than wrong are refuted.
+const REFUTED: f64 = 0.5;
 
 /// Outcome of a search without one satellite.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Separated {
-    pub(crate) verdict: Verdict,
-    /// Probability that the held integers are right.
+    /// Probability of the held integers.
     pub(crate) probability: f64,
+    /// Density of the floats that are left over that of all floats.
+    pub(crate) evidence: f64,
+}
+
+impl Separated {
+    /// Without the satellite there are too few ambiguities for a search: nothing speaks for the
+    /// held integers, nor for another model.
+    const IMPOSSIBLE: Self = Self { probability: 0.0, evidence: 1.0 };
 }
 
 /// A satellite with the outcome of the last search that left it out.
 #[derive(Clone, Copy, Debug)]
 struct Separation {
     satellite: SatelliteId,
-    verdict: Verdict,
-    /// `None` before the first search; 0 where none is possible without the satellite.
-    probability: Option<f64>,
+    /// `None` before the first search.
+    outcome: Option<Separated>,
 }
 
-/// Verdicts of the searches without one satellite on the held integers.
+/// The searches without one satellite each for the held integers.
 #[derive(Debug, Default)]
 pub(crate) struct Confirmation {
     /// Satellites with held integers; those tested longest ago first.
@@ -63,12 +64,12 @@ pub(crate) struct Confirmation {
     is_confirmed: bool,
 }
 
-snapshot_variants!(Verdict { 0 => Agrees {}, 1 => Silent {}, 2 => Contradicts {} });
-snapshot_fields!(Separation { satellite, verdict, probability });
+snapshot_fields!(Separated { probability, evidence });
+snapshot_fields!(Separation { satellite, outcome });
 state_fields!(Confirmation { separations, is_confirmed });
 
 impl Confirmation {
-    /// Forgets all verdicts: nothing is confirmed.
+    /// Forgets all searches: nothing is confirmed.
     pub(crate) fn clear(&mut self) {
         self.separations.clear();
         self.is_confirmed = false;
@@ -79,65 +80,58 @@ impl Confirmation {
         self.is_confirmed
     }
 
-    /// Factor on the probability of the integers, because one satellite may be faulty:
-    /// 1 − ε·(1 − p̄), with the mean p̄ of the searches without one satellite.
-    pub(crate) fn reliability(&self) -> f64 {
-        let searches = self.separations.iter().filter_map(|separation| separation.probability);
-        let (sum, count) = searches.fold((0.0, 0.0), |(sum, count), p| (sum + p, count + 1.0));
-        if count == 0.0 { 1.0 } else { 1.0 - FAULTY * (1.0 - sum / count) }
+    /// Probability P of the held integers, averaged over who is faulty; one before any search.
+    pub(crate) fn probability(&self) -> f64 {
+        let odds = if self.is_confirmed { CONFIRMED_ODDS } else { 1.0 };
+        let by_evidence = self.averaged(|one| (one.evidence, scale_odds(odds, one.probability)));
+        by_evidence.min(self.averaged(|one| (1.0, one.probability)))
     }
 
-    /// Tests the integers of `satellites`, each test being a search without one of them. Returns
-    /// the verdict on the integers as a whole.
+    /// P with the evidence and the probability that `of` takes from each search.
+    fn averaged(&self, of: impl Fn(Separated) -> (f64, f64)) -> f64 {
+        let searches = self.separations.iter().filter_map(|separation| separation.outcome).map(of);
+        let (mut right, mut all, mut count) = (0.0, 0.0, 0.0);
+        for (evidence, probability) in searches {
+            right += evidence * probability;
+            all += evidence;
+            count += 1.0;
+        }
+        let prior = FAULTY / f64::max(count, 1.0);
+        (1.0 - FAULTY + prior * right) / (1.0 - FAULTY + prior * all)
+    }
+
+    /// Tests the integers of `satellites`, each test being a search without one of them.
     ///
-    /// Integers that are not confirmed are tested without every satellite, first without those that
-    /// failed last, until the outcome is certain. Confirmed ones are tested without one satellite
-    /// an epoch, in turn, and stay confirmed until a test contradicts them.
+    /// Integers that are not confirmed are tested without every satellite; `probability_min`
+    /// confirms them. Confirmed ones are tested without one satellite an epoch, in turn, and stay
+    /// confirmed until they are refuted.
     pub(crate) fn update(
         &mut self,
         satellites: &[SatelliteId],
+        probability_min: f64,
         mut test: impl FnMut(SatelliteId) -> Option<Separated>,
-    ) -> Verdict {
+    ) {
         self.follow(satellites);
-        let Self { separations, is_confirmed } = self;
-        let tests = if *is_confirmed { 1 } else { separations.len() };
-        let most = (CONFIRMING_SHARE * separations.len() as f64).ceil() as usize;
-        let needed = most.max(CONFIRMING_LEAST);
-        let (mut agreeing, mut left) = (0, separations.len());
-        for _ in 0..tests.min(separations.len()) {
-            let separated = test(separations[0].satellite);
-            let verdict = separated.map_or(Verdict::Silent, |separated| separated.verdict);
-            let first = &mut separations[0];
-            first.verdict = verdict;
-            first.probability = Some(separated.map_or(0.0, |separated| separated.probability));
-            if verdict == Verdict::Contradicts {
-                *is_confirmed = false;
-                return verdict;
-            }
-            separations.rotate_left(1);
-            agreeing += usize::from(verdict == Verdict::Agrees);
-            left -= 1;
-            if !*is_confirmed && agreeing + left < needed {
-                return Verdict::Silent;
-            }
+        let tests = if self.is_confirmed { 1 } else { self.separations.len() };
+        for separation in self.separations.iter_mut().take(tests) {
+            separation.outcome = Some(test(separation.satellite).unwrap_or(Separated::IMPOSSIBLE));
         }
-        *is_confirmed |= !separations.is_empty();
-        if *is_confirmed { Verdict::Agrees } else { Verdict::Silent }
+        if self.is_confirmed && !self.separations.is_empty() {
+            self.separations.rotate_left(1);
+        }
+        let least = if self.is_confirmed { REFUTED } else { probability_min };
+        self.is_confirmed =
+            least <= self.probability() && (self.is_confirmed || !self.separations.is_empty());
     }
 
-    /// Takes over the satellites of an epoch; before integers are confirmed, those without which
-    /// they were not found come first.
+    /// Takes over the satellites of an epoch; new ones are tested first.
     fn follow(&mut self, satellites: &[SatelliteId]) {
-        let Self { separations, is_confirmed } = self;
+        let separations = &mut self.separations;
         separations.retain(|separation| satellites.contains(&separation.satellite));
         for &satellite in satellites {
             if separations.iter().all(|separation| separation.satellite != satellite) {
-                let (verdict, probability) = (Verdict::Silent, None);
-                separations.insert(0, Separation { satellite, verdict, probability });
+                separations.insert(0, Separation { satellite, outcome: None });
             }
-        }
-        if !*is_confirmed {
-            separations.sort_by_key(|separation| separation.verdict == Verdict::Agrees);
         }
     }
 }
@@ -147,81 +141,98 @@ mod tests {
     use super::*;
     use crate::gnss::Constellation;
 
-    fn with(verdict: Verdict) -> Option<Separated> {
-        let probability = if verdict == Verdict::Agrees { 0.99 } else { 0.1 };
-        Some(Separated { verdict, probability })
-    }
+    /// A threshold as of the options.
+    const LEAST: f64 = 0.95;
+
+    const AGREES: Option<Separated> = Some(Separated { probability: 0.99, evidence: 0.1 });
+    const CONTRADICTS: Option<Separated> = Some(Separated { probability: 0.0, evidence: 1000.0 });
 
     fn satellites(count: u8) -> Vec<SatelliteId> {
         (1..=count).map(|k| SatelliteId::new(Constellation::Gps, k).unwrap()).collect()
     }
 
-    /// Six of twelve satellites are enough and five are not; of six, five are needed.
+    /// Of eight searches six agree (p = 0.99, E = 0.1), one prefers other integers (p = 0.1, E = 2)
+    /// and one was not possible (p = 0, E = 1). By evidence P = (0.9 + (0.6·0.99 + 0.2)/80)/(0.9 +
+    /// 3.6/80), by the prior weights 0.9 + (6·0.99 + 0.1)/80, which is less.
     #[test]
-    fn most_satellites_must_confirm() {
-        for (count, needed, agreeing) in [(12, 6, 5), (12, 6, 6), (6, 5, 4), (6, 5, 5), (4, 5, 4)] {
+    fn a_probability_worked_by_hand() {
+        let mut confirmation = Confirmation::default();
+        assert_eq!(confirmation.probability(), 1.0);
+        let test = |satellite: SatelliteId| match satellite.number {
+            1 => Some(Separated { probability: 0.1, evidence: 2.0 }),
+            2 => None,
+            _ => AGREES,
+        };
+        confirmation.update(&satellites(8), LEAST, test);
+        let by_evidence = confirmation.averaged(|one| (one.evidence, one.probability));
+        assert!((by_evidence - (0.9 + 0.794 / 80.0) / (0.9 + 3.6 / 80.0)).abs() < 1e-12);
+        assert!((confirmation.probability() - (0.9 + 6.04 / 80.0)).abs() < 1e-12);
+        assert!(confirmation.is_confirmed());
+    }
+
+    /// Integers that fit all floats, but that hardly any search without a satellite finds again, are
+    /// not confirmed however little its evidence is: five of eight are enough, three are not.
+    #[test]
+    fn integers_must_be_found_again() {
+        for (again, is_confirmed) in [(5, true), (3, false)] {
             let mut confirmation = Confirmation::default();
-            let test = |satellite: SatelliteId| match satellite.number <= agreeing {
-                true => with(Verdict::Agrees),
-                false => with(Verdict::Silent),
+            let test = |satellite: SatelliteId| match satellite.number <= again {
+                true => AGREES,
+                false => Some(Separated { probability: 0.0, evidence: 1e-6 }),
             };
-            let verdict = confirmation.update(&satellites(count), test);
-            assert_eq!(confirmation.is_confirmed(), needed <= agreeing, "{agreeing} of {count}");
-            assert_eq!(verdict == Verdict::Agrees, needed <= agreeing);
+            confirmation.update(&satellites(8), LEAST, test);
+            assert_eq!(confirmation.is_confirmed(), is_confirmed, "{again}");
+        }
+    }
+
+    /// Other integers without one satellite refute the held ones if the floats without it are much
+    /// denser than all floats: it is then likely to be faulty. If not, they count by its prior.
+    #[test]
+    fn a_contradiction_counts_as_much_as_its_evidence() {
+        for (evidence, is_right) in [(0.01, true), (1.0, true), (5.0, false), (1000.0, false)] {
+            let mut confirmation = Confirmation::default();
+            let test = |satellite: SatelliteId| match satellite.number {
+                5 => Some(Separated { probability: 0.0, evidence }),
+                _ => AGREES,
+            };
+            confirmation.update(&satellites(8), LEAST, test);
+            assert_eq!(confirmation.is_confirmed(), is_right, "{evidence}");
         }
         let mut nothing = Confirmation::default();
-        assert_eq!(nothing.update(&[], |_| with(Verdict::Agrees)), Verdict::Silent);
+        nothing.update(&[], LEAST, |_| AGREES);
+        assert!(!nothing.is_confirmed());
     }
 
-    /// One contradiction among many agreements refuses integers, at once or later; confirmed
-    /// integers are tested without each satellite in turn.
+    /// Confirmed integers are tested without one satellite an epoch, in turn, and dropped at once
+    /// where that satellite turns out to be faulty and others to be right.
     #[test]
-    fn one_contradiction_refuses() {
+    fn confirmed_integers_are_tested_in_turn() {
         let mut confirmation = Confirmation::default();
-        let against = |number: u8| {
-            move |satellite: SatelliteId| match satellite.number == number {
-                true => with(Verdict::Contradicts),
-                false => with(Verdict::Agrees),
-            }
-        };
-        assert_eq!(confirmation.update(&satellites(8), against(5)), Verdict::Contradicts);
-        assert!(!confirmation.is_confirmed());
-        assert_eq!(confirmation.update(&satellites(8), against(9)), Verdict::Agrees);
-        let mut epochs = 0;
-        while confirmation.update(&satellites(8), against(5)) == Verdict::Agrees {
-            epochs += 1;
-            assert!(epochs < 8, "a turn has eight epochs");
-        }
-        assert!(!confirmation.is_confirmed());
-    }
-
-    /// The satellite that failed last is tested first: one test is enough to refuse again.
-    #[test]
-    fn a_failed_satellite_is_tested_first() {
-        let mut confirmation = Confirmation::default();
+        confirmation.update(&satellites(8), LEAST, |_| AGREES);
         let mut tested = Vec::new();
-        for _ in 0..2 {
-            tested.clear();
-            confirmation.update(&satellites(8), |satellite| {
+        while confirmation.is_confirmed() {
+            assert!(tested.len() < 8, "a turn has eight epochs: {tested:?}");
+            confirmation.update(&satellites(8), LEAST, |satellite| {
                 tested.push(satellite.number);
-                with(if satellite.number == 4 { Verdict::Contradicts } else { Verdict::Agrees })
+                if satellite.number == 5 { CONTRADICTS } else { AGREES }
             });
         }
-        assert_eq!(tested, [4]);
+        tested.sort_unstable();
+        tested.dedup();
+        assert!(tested.contains(&5) && tested.len() < 9, "{tested:?}");
     }
 
-    /// Eight searches, six with 0.99, one with 0.1 and one that was not possible: their mean is 6.04/8,
-    /// and the factor 1 − 0.1·1.96/8.
+    /// Confirmed integers have odds of 9999 before a search: 0.01 becomes 0.99.
     #[test]
-    fn reliability_worked_by_hand() {
+    fn earlier_epochs_speak_for_confirmed_integers() {
+        let doubts = |_| Some(Separated { probability: 0.01, evidence: 1000.0 });
         let mut confirmation = Confirmation::default();
-        assert_eq!(confirmation.reliability(), 1.0);
-        let test = |satellite: SatelliteId| match satellite.number {
-            1 => with(Verdict::Silent),
-            2 => None,
-            _ => with(Verdict::Agrees),
-        };
-        assert_eq!(confirmation.update(&satellites(8), test), Verdict::Agrees);
-        assert!((confirmation.reliability() - (1.0 - 0.1 * 1.96 / 8.0)).abs() < 1e-12);
+        confirmation.update(&satellites(8), LEAST, |_| AGREES);
+        confirmation.update(&satellites(8), LEAST, doubts);
+        assert!(confirmation.is_confirmed() && 0.98 < confirmation.probability());
+        assert!(confirmation.averaged(|one| (one.evidence, one.probability)) < 0.1);
+        let mut unconfirmed = Confirmation::default();
+        unconfirmed.update(&satellites(8), LEAST, doubts);
+        assert!(!unconfirmed.is_confirmed() && unconfirmed.probability() < 0.05);
     }
 }

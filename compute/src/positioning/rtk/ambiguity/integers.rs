@@ -10,8 +10,8 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
-use crate::lambda::{Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
-use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
+use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
@@ -65,7 +65,8 @@ pub(crate) struct IntegerQuestion<'a> {
     /// Only arcs with a phase at this time.
     pub(crate) time: GpsTime,
     pub(crate) float: &'a FloatSolution,
-    pub(crate) noise: KnownNoise,
+    /// Of the pseudoranges' noise.
+    pub(crate) scale: KnownScale,
     pub(crate) options: &'a RtkOptions,
 }
 
@@ -73,8 +74,6 @@ pub(crate) struct IntegerQuestion<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Judgement<'a> {
     options: &'a Options,
-    /// Divisor of the odds.
-    odds_divisor: f64,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
     /// Integers were held, and the float solution no longer agrees with them.
@@ -120,7 +119,7 @@ impl IntegerSearch {
         question: &IntegerQuestion<'_>,
         is_confirmed: bool,
     ) -> Resolution {
-        let IntegerQuestion { time, float, noise, options } = *question;
+        let IntegerQuestion { time, float, scale, options } = *question;
         let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
         self.differences.form(arcs.list(), is_eligible, float);
         for pair in self.differences.pairs.iter().filter(|pair| pair.known.is_none()) {
@@ -133,10 +132,10 @@ impl IntegerSearch {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.differences.joint(float);
-        let lambda = lambda_options(options, noise.scale);
+        let lambda = lambda_options(options, scale);
         let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
-        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
+        let hold_epochs = options.hold_epochs;
+        let judgement = Judgement { options: &lambda, hold_epochs, were_held };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         let of_held = Judgement { options: &held, ..judgement };
         if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
@@ -275,7 +274,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, were_held, .. } = *judgement;
+        let Judgement { options, were_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -288,8 +287,7 @@ impl IntegerSearch {
                 continue;
             }
             resolution.outcome = Err(Reason::FixRejected);
-            let stated =
-                bonferroni(odds_divisor * tried as f64, outcome.probability.unwrap_or(0.0));
+            let stated = bonferroni(tried as f64, outcome.probability.unwrap_or(0.0));
             let Some(rest) = self.condition_on_found(joint, &wanted) else { continue };
             let probability = given_unfixed_ambiguities(stated, &rest);
             if probability < options.probability_min {
@@ -399,7 +397,6 @@ mod tests {
     use super::*;
     use crate::config::{Mode, PositioningOptions, Profile};
     use crate::gnss::{Band, Constellation, ObservationCode, SatelliteId};
-    use crate::positioning::rtk::ambiguity::Verdict;
     use crate::positioning::rtk::observed::{HeldInteger, Receivers, Residuals};
 
     const N: usize = 7;
@@ -452,9 +449,9 @@ mod tests {
 
     fn resolved(arcs: &mut Arcs, hold: &mut HoldState, float: &FloatSolution) -> Resolution {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let noise = Receivers::new().known_noise(&Residuals::NONE);
+        let scale = Receivers::new().known_scale(&Residuals::NONE);
         let time = GpsTime::EPOCH;
-        let question = IntegerQuestion { time, float, noise, options: &options.rtk };
+        let question = IntegerQuestion { time, float, scale, options: &options.rtk };
         IntegerSearch::default().resolve(arcs, hold, &question, true)
     }
 
@@ -571,9 +568,9 @@ mod tests {
     #[test]
     fn searches_without_a_satellite_find_who_is_wrong() {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let noise = Receivers::new().known_noise(&Residuals::NONE);
+        let scale = Receivers::new().known_scale(&Residuals::NONE);
         let (time, float) = (GpsTime::EPOCH, float());
-        let question = IntegerQuestion { time, float: &float, noise, options: &options.rtk };
+        let question = IntegerQuestion { time, float: &float, scale, options: &options.rtk };
         for (wrong, reference) in [(None, 2), (Some(4), 2), (Some(2), 2)] {
             let mut arcs = arcs(reference);
             let off = |k: usize| i64::from(wrong == Some(k));
@@ -581,10 +578,9 @@ mod tests {
             let mut search = IntegerSearch::default();
             let mut separator = search.separator(&arcs, &question).unwrap();
             for k in 0..N {
-                let found = separator.without(arcs.list()[k].satellite, 0.5).unwrap();
+                let found = separator.without(arcs.list()[k].satellite).unwrap();
                 let is_right = wrong.is_none_or(|wrong| wrong == k);
-                assert_eq!(found.verdict == Verdict::Agrees, is_right, "{wrong:?}, without {k}");
-                assert_eq!(0.9 < found.probability, is_right, "{}", found.probability);
+                assert_eq!(0.9 < found.probability, is_right, "{wrong:?}, without {k}: {found:?}");
             }
         }
         // Without integers there is nothing to search.

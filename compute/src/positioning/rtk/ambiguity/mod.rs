@@ -14,7 +14,7 @@ mod separation;
 
 pub(crate) use acceptance::refusal;
 pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
-pub(crate) use confirmation::{Confirmation, Verdict};
+pub(crate) use confirmation::Confirmation;
 pub(crate) use fixed_position::{
     FixedEpoch, FixedPosition, KnownPosition, PhasePosition, position_from_fixed_phases,
     subtract_common_cycles, subtract_integers,

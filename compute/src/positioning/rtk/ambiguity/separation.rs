@@ -6,18 +6,19 @@ use crate::gnss::SatelliteId;
 use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
 use super::acceptance::lambda_options;
-use super::confirmation::{Separated, Verdict};
+use super::confirmation::Separated;
 use super::integers::{IntegerQuestion, IntegerSearch, may_be_integer};
-use super::joint::{bonferroni, scale_odds};
 
-/// Integers found without one satellite count if they are more likely right than wrong.
-const LIKELY: f64 = 0.5;
+/// Bound of a log ratio of evidence, so that sums stay finite: beyond it nothing else counts.
+const LOG_EVIDENCE_MOST: f64 = 100.0;
 
 /// Searches for the held integers of an epoch without one satellite, after one decorrelation.
 pub(crate) struct Separator<'a> {
     search: &'a mut IntegerSearch,
     arcs: &'a Arcs,
     question: &'a IntegerQuestion<'a>,
+    /// ln of the density of all floats.
+    log_evidence: f64,
 }
 
 impl IntegerSearch {
@@ -42,18 +43,17 @@ impl IntegerSearch {
         let off = known.enumerate().map(|(i, known)| joint.estimate[3 + i] - known as f64);
         let covariance = DMatrix::from_fn(n, n, |i, j| joint.covariance[(3 + i, 3 + j)]);
         self.separation.load(off, &covariance).ok()?;
-        Some(Separator { search: self, arcs, question })
+        let nothing = std::iter::empty::<[usize; 0]>();
+        let lambda = lambda_options(options, question.scale);
+        let log_evidence = self.separation.without(nothing, &lambda)?.log_evidence;
+        Some(Separator { search: self, arcs, question, log_evidence })
     }
 }
 
 impl Separator<'_> {
-    /// Searches without one satellite: its verdict on the held integers, whose probability is
-    /// `prior`, and the probability that it gives to them. `None` where too few are left.
-    ///
-    /// It agrees if it finds them again. It contradicts them if other integers are likely, and
-    /// likelier than the held ones in spite of their prior odds.
-    pub(crate) fn without(&mut self, left_out: SatelliteId, prior: f64) -> Option<Separated> {
-        let IntegerQuestion { noise, options, .. } = *self.question;
+    /// Searches without one satellite; `None` where too few ambiguities are left.
+    pub(crate) fn without(&mut self, left_out: SatelliteId) -> Option<Separated> {
+        let IntegerQuestion { scale, options, .. } = *self.question;
         let (list, pairs) = (self.arcs.list(), &self.search.differences.pairs);
         let is_left_out = |arc: usize| list[arc].satellite == left_out;
         let entries = (0..pairs.len()).filter(|&i| is_left_out(pairs[i].arc)).map(|i| vec![i]);
@@ -63,18 +63,9 @@ impl Separator<'_> {
         let groups = references.into_iter().filter(|&reference| is_left_out(reference));
         let of =
             |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
-        let lambda = lambda_options(options, noise.scale);
+        let lambda = lambda_options(options, scale);
         let found = self.search.separation.without(entries.chain(groups.map(of)), &lambda)?;
-        let stated = bonferroni(noise.odds_divisor, found.probability);
-        let verdict = if stated < LIKELY {
-            Verdict::Silent
-        } else if found.agrees {
-            Verdict::Agrees
-        } else if scale_odds(found.odds, prior) < LIKELY {
-            Verdict::Contradicts
-        } else {
-            Verdict::Silent
-        };
-        Some(Separated { verdict, probability: stated * found.odds })
+        let evidence = (found.log_evidence - self.log_evidence).min(LOG_EVIDENCE_MOST).exp();
+        Some(Separated { probability: found.probability, evidence })
     }
 }
