@@ -86,8 +86,8 @@ impl Tracking {
         if !options.rtk.resolve {
             return Resolution::unresolved(self.arcs.present(epoch.time).count());
         }
-        let scale = self.receivers.known_scale(&residuals);
-        let question = IntegerQuestion { time: epoch.time, float, scale, options: &options.rtk };
+        let noise = self.receivers.known_noise(&residuals);
+        let question = IntegerQuestion { time: epoch.time, float, noise, options: &options.rtk };
         let is_confirmed =
             self.confirmation.is_confirmed() && self.confirmed_period == Some(self.hold.period);
         let mut resolution =

@@ -10,8 +10,8 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
-use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
-use crate::positioning::rtk::observed::{Arcs, CarrierArc};
+use crate::lambda::{Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
+use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
 use super::acceptance::{any_integers, lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
@@ -65,8 +65,7 @@ pub(crate) struct IntegerQuestion<'a> {
     /// Only arcs with a phase at this time.
     pub(crate) time: GpsTime,
     pub(crate) float: &'a FloatSolution,
-    /// Of the pseudoranges' noise.
-    pub(crate) scale: KnownScale,
+    pub(crate) noise: KnownNoise,
     pub(crate) options: &'a RtkOptions,
 }
 
@@ -74,6 +73,8 @@ pub(crate) struct IntegerQuestion<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Judgement<'a> {
     options: &'a Options,
+    /// Divisor of the odds of new integers.
+    odds_divisor: f64,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
     /// Integers were held, and the float solution no longer agrees with them.
@@ -119,7 +120,7 @@ impl IntegerSearch {
         question: &IntegerQuestion<'_>,
         is_confirmed: bool,
     ) -> Resolution {
-        let IntegerQuestion { time, float, scale, options } = *question;
+        let IntegerQuestion { time, float, noise, options } = *question;
         let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
         self.differences.form(arcs.list(), is_eligible, float);
         for pair in self.differences.pairs.iter().filter(|pair| pair.known.is_none()) {
@@ -132,10 +133,10 @@ impl IntegerSearch {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.differences.joint(float);
-        let lambda = lambda_options(options, scale);
+        let lambda = lambda_options(options, noise.scale);
         let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
-        let hold_epochs = options.hold_epochs;
-        let judgement = Judgement { options: &lambda, hold_epochs, were_held };
+        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
+        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         let of_held = Judgement { options: &held, ..judgement };
         if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
@@ -274,7 +275,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, were_held, .. } = *judgement;
+        let Judgement { options, odds_divisor, were_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -287,7 +288,8 @@ impl IntegerSearch {
                 continue;
             }
             resolution.outcome = Err(Reason::FixRejected);
-            let stated = bonferroni(tried as f64, outcome.probability.unwrap_or(0.0));
+            let stated =
+                bonferroni(odds_divisor * tried as f64, outcome.probability.unwrap_or(0.0));
             let Some(rest) = self.condition_on_found(joint, &wanted) else { continue };
             let probability = given_unfixed_ambiguities(stated, &rest);
             if probability < options.probability_min {
@@ -449,9 +451,9 @@ mod tests {
 
     fn resolved(arcs: &mut Arcs, hold: &mut HoldState, float: &FloatSolution) -> Resolution {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let scale = Receivers::new().known_scale(&Residuals::NONE);
+        let noise = Receivers::new().known_noise(&Residuals::NONE);
         let time = GpsTime::EPOCH;
-        let question = IntegerQuestion { time, float, scale, options: &options.rtk };
+        let question = IntegerQuestion { time, float, noise, options: &options.rtk };
         IntegerSearch::default().resolve(arcs, hold, &question, true)
     }
 
@@ -568,9 +570,9 @@ mod tests {
     #[test]
     fn searches_without_a_satellite_find_who_is_wrong() {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
-        let scale = Receivers::new().known_scale(&Residuals::NONE);
+        let noise = Receivers::new().known_noise(&Residuals::NONE);
         let (time, float) = (GpsTime::EPOCH, float());
-        let question = IntegerQuestion { time, float: &float, scale, options: &options.rtk };
+        let question = IntegerQuestion { time, float: &float, noise, options: &options.rtk };
         for (wrong, reference) in [(None, 2), (Some(4), 2), (Some(2), 2)] {
             let mut arcs = arcs(reference);
             let off = |k: usize| i64::from(wrong == Some(k));

@@ -44,7 +44,7 @@ impl IntegerSearch {
         let covariance = DMatrix::from_fn(n, n, |i, j| joint.covariance[(3 + i, 3 + j)]);
         self.separation.load(off, &covariance).ok()?;
         let nothing = std::iter::empty::<[usize; 0]>();
-        let lambda = lambda_options(options, question.scale);
+        let lambda = lambda_options(options, question.noise.scale);
         let log_evidence = self.separation.without(nothing, &lambda)?.log_evidence;
         Some(Separator { search: self, arcs, question, log_evidence })
     }
@@ -53,7 +53,7 @@ impl IntegerSearch {
 impl Separator<'_> {
     /// Searches without one satellite; `None` where too few ambiguities are left.
     pub(crate) fn without(&mut self, left_out: SatelliteId) -> Option<Separated> {
-        let IntegerQuestion { scale, options, .. } = *self.question;
+        let IntegerQuestion { noise, options, .. } = *self.question;
         let (list, pairs) = (self.arcs.list(), &self.search.differences.pairs);
         let is_left_out = |arc: usize| list[arc].satellite == left_out;
         let entries = (0..pairs.len()).filter(|&i| is_left_out(pairs[i].arc)).map(|i| vec![i]);
@@ -63,7 +63,7 @@ impl Separator<'_> {
         let groups = references.into_iter().filter(|&reference| is_left_out(reference));
         let of =
             |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
-        let lambda = lambda_options(options, scale);
+        let lambda = lambda_options(options, noise.scale);
         let found = self.search.separation.without(entries.chain(groups.map(of)), &lambda)?;
         let evidence = (found.log_evidence - self.log_evidence).min(LOG_EVIDENCE_MOST).exp();
         Some(Separated { probability: found.probability, evidence })

@@ -23,7 +23,7 @@ pub(crate) use epoch::{
 #[cfg(test)]
 pub(crate) use epoch::{DifferenceFactor, Group};
 pub(crate) use half_cycles::half_cycle_step;
-pub(crate) use noise::{FREEDOM_LEAST, Residuals};
+pub(crate) use noise::{FREEDOM_LEAST, KnownNoise, Residuals};
 pub(crate) use receivers::Receivers;
 pub(crate) use residuals::{carrier_residuals, window_residuals};
 pub(crate) use rivals::{Judged, PseudorangeWatch};

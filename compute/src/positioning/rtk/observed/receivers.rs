@@ -2,13 +2,12 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::lambda::KnownScale;
 use crate::positioning::setup::OFFSET_KERNEL;
 use crate::snapshot::state_fields;
 
 use super::code_biases::CodeBiases;
 use super::epoch::{RowScratch, RtkEpoch, State};
-use super::noise::{NoiseScale, Residuals};
+use super::noise::{KnownNoise, NoiseScale, Residuals};
 use super::pseudorange_age::LastPseudoranges;
 use super::residuals::{leverage, pseudorange_residuals, whitened};
 
@@ -35,7 +34,7 @@ impl Receivers {
     }
 
     /// Noise scale of the pseudoranges, updated with the residuals of a solved window.
-    pub(crate) fn known_scale(&self, residuals: &Residuals) -> KnownScale {
+    pub(crate) fn known_noise(&self, residuals: &Residuals) -> KnownNoise {
         self.pseudorange_noise.known(residuals)
     }
 
