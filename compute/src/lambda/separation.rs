@@ -92,11 +92,11 @@ impl Separation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lambda::tests::{Random, options};
+    use crate::lambda::tests::{Random, options, squared_norm};
     use crate::lambda::{Partial, Resolver};
 
     /// Entries left out one at a time, two at a time, and as the reference of differences: the same
-    /// probability as a search among the entries that remain, differenced anew.
+    /// probability and evidence as by a search among the entries that remain, differenced anew.
     #[test]
     fn as_if_the_entries_had_never_been() {
         let mut random = Random(23);
@@ -125,11 +125,13 @@ mod tests {
                 let floats: Vec<f64> = kept.iter().map(|&i| moved[i]).collect();
                 let mut resolver = Resolver::with_capacity(size);
                 let direct = resolver.resolve(&floats, &part, Partial::None, &limits).unwrap();
-                let best = direct.probability.unwrap();
-                match resolver.fix().entries().iter().all(|z| *z == Some(0)) {
-                    true => assert!((found.probability - best).abs() < 1e-9, "{left_out:?}"),
-                    false => assert!(found.probability < 1.0 - best + 1e-9, "{left_out:?}"),
-                }
+                let (best, norm) = (direct.probability.unwrap(), direct.squared_norm.unwrap());
+                let own = squared_norm(&floats, &vec![0.0; n], &part);
+                let known = best * (0.5 * (norm - own)).exp();
+                assert!((found.probability - known).abs() < 1e-9, "{left_out:?}");
+                let log_scale = n as f64 * std::f64::consts::TAU.ln() + part.determinant().ln();
+                let log_evidence = -0.5 * (norm + log_scale) - best.ln();
+                assert!((found.log_evidence - log_evidence).abs() < 1e-6, "{left_out:?}");
             }
         }
     }

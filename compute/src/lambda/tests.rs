@@ -80,7 +80,7 @@ pub(super) fn options() -> Options {
     }
 }
 
-fn squared_norm(float: &[f64], integers: &[f64], covariance: &DMatrix<f64>) -> f64 {
+pub(super) fn squared_norm(float: &[f64], integers: &[f64], covariance: &DMatrix<f64>) -> f64 {
     let off = DVector::from_fn(float.len(), |i, _| float[i] - integers[i]);
     off.dot(&covariance.clone().cholesky().expect("definite").solve(&off))
 }

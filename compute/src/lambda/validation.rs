@@ -185,8 +185,8 @@ mod tests {
         }
     }
 
-    /// One float of variance 0.04, 0.1 from the nearest integer: over a cycle the density of the
-    /// fraction integrates to one, so its mean is one, and a sharp one is that of a normal.
+    /// The density of one float of variance 0.04, summed over all integers, integrates to one over a
+    /// cycle. Where one integer alone is likely, it is that of a normal.
     #[test]
     fn the_evidence_is_a_density_of_the_fraction() {
         let scales = [None, Some(KnownScale { freedom: 8.0, variance: 0.7 })];

@@ -254,3 +254,36 @@ impl Chain {
 fn position_covariance(covariances: &Covariances<STATE>) -> Matrix3<f64> {
     covariances.state().fixed_view::<3, 3>(0, 0).into_owned()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Mode, Profile};
+    use crate::positioning::rtk::observed::RtkEpoch;
+
+    /// Epochs left in a window of `count`, one each `interval_s`, after `consecutive_epochs` with
+    /// integers.
+    fn left(count: usize, interval_s: f64, consecutive_epochs: u32) -> usize {
+        let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        let mut chain = Chain::empty();
+        chain.tracking.hold.consecutive_epochs = consecutive_epochs;
+        for k in 0..count {
+            let time = GpsTime::EPOCH + k as f64 * interval_s;
+            chain.epochs.push(RtkEpoch { time, ..RtkEpoch::default() });
+        }
+        while chain.is_too_long(&options) {
+            chain.epochs.remove(0);
+        }
+        chain.epochs.len()
+    }
+
+    /// Without integers ten epochs and 10 s, but at least two epochs; with integers two.
+    #[test]
+    fn the_window_is_long_until_integers_are_found() {
+        for (interval_s, expected) in [(0.1, 10), (1.0, 10), (2.5, 5), (5.0, 3), (30.0, 2)] {
+            assert_eq!(left(12, interval_s, 0), expected, "{interval_s} s");
+            assert_eq!(left(12, interval_s, 1), 2, "{interval_s} s");
+        }
+        assert_eq!([0, 1].map(|count| left(count, 1.0, 0)), [0, 1]);
+    }
+}
