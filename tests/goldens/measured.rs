@@ -3,7 +3,7 @@
 //!
 //! The figures are bounds on both sides: if one improves, it is revised here, so that a later loss
 //! is visible. The tolerances are above the effect of another order of sums or another compiler,
-//! and below the differences between settings that `docs/accuracy.md` compares.
+//! and below the differences between settings that `docs/experiments.md` compares.
 
 use crate::support::recording::Errors;
 
