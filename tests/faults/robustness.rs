@@ -127,6 +127,21 @@ fn minutes_without_epochs() {
     drive.assert_all(6.0, "gaps");
 }
 
+/// In half a minute without epochs the car turns, so the solve begins up to a hundred metres off.
+/// The first position afterwards is as good as the next one.
+#[test]
+fn half_a_minute_without_epochs() {
+    let mut drive = Drive::new(260.0);
+    drive.epochs.drain(200..233);
+    drive.epochs.drain(105..138);
+    let solutions = drive.solve(Kind::Causal);
+    for first in [105, 200 - 33] {
+        assert_eq!(solutions[first].time - solutions[first - 1].time, 34.0);
+        let [at_first, at_next] = [first, first + 1].map(|k| drive.error_m(&solutions[k]));
+        assert!((at_first - at_next).abs() < 0.3, "{first}: {at_first} m, then {at_next} m");
+    }
+}
+
 /// The clock steps by a millisecond in tag and pseudoranges, and with or without the phases.
 #[test]
 fn the_clock_steps_by_a_millisecond() {

@@ -52,6 +52,14 @@ pub struct Stage {
     pub phase: Phase,
     /// Maximum number of iterations; convergence ends the stage earlier.
     pub iterations: usize,
+    /// Maximum number beyond that, as long as a step is longer than one standard deviation.
+    pub further: usize,
+}
+
+impl Stage {
+    fn new(phase: Phase, iterations: usize) -> Self {
+        Self { phase, iterations, further: 0 }
+    }
 }
 
 /// The stages of a solve, in order.
@@ -61,7 +69,7 @@ pub struct Schedule(Vec<Stage>);
 impl Schedule {
     /// One stage with the final kernels: for convex kernels, or where the start is good.
     pub fn direct(iterations: usize) -> Self {
-        Self(vec![Stage { phase: Phase::Graduated(1.0), iterations }])
+        Self(vec![Stage::new(Phase::Graduated(1.0), iterations)])
     }
 
     /// `convex` iterations with the convex kernels; then `each` iterations at each of the widenings
@@ -71,15 +79,24 @@ impl Schedule {
     pub fn graduated(convex: usize, widest: f64, ratio: f64, each: usize, last: usize) -> Self {
         let mut stages = Vec::new();
         if 0 < convex {
-            stages.push(Stage { phase: Phase::Convex, iterations: convex });
+            stages.push(Stage::new(Phase::Convex, convex));
         }
         let mut widening = widest;
         while 1.0 < widening && 1.0 < ratio {
-            stages.push(Stage { phase: Phase::Graduated(widening), iterations: each });
+            stages.push(Stage::new(Phase::Graduated(widening), each));
             widening /= ratio;
         }
-        stages.push(Stage { phase: Phase::Graduated(1.0), iterations: last });
+        stages.push(Stage::new(Phase::Graduated(1.0), last));
         Self(stages)
+    }
+
+    /// The same, with up to `further` iterations of the last stage as long as a step is longer than
+    /// one standard deviation: for a start that is usually near the minimum, but not always.
+    pub fn while_far(mut self, further: usize) -> Self {
+        if let Some(last) = self.0.last_mut() {
+            last.further = further;
+        }
+        self
     }
 
     /// The stages.
@@ -98,8 +115,8 @@ mod tests {
         let schedule = Schedule::graduated(6, 15.0, 1.4, 2, 10);
         let stages = schedule.stages();
         assert_eq!(stages.len(), 11);
-        assert_eq!(stages[0], Stage { phase: Phase::Convex, iterations: 6 });
-        assert_eq!(stages[10], Stage { phase: Phase::Graduated(1.0), iterations: 10 });
+        assert_eq!(stages[0], Stage::new(Phase::Convex, 6));
+        assert_eq!(stages[10], Stage::new(Phase::Graduated(1.0), 10));
         let widenings = stages[1..].iter().map(|stage| match stage.phase {
             Phase::Graduated(widening) => widening,
             Phase::Convex => panic!("convex stage after the first"),

@@ -28,6 +28,9 @@ pub trait Problem<const S: usize> {
     fn linearize(&mut self, estimate: &Estimate<S>, phase: Phase, system: &mut System<S>);
 }
 
+/// gᵀH⁻¹g of a step that is one standard deviation long.
+const FAR: f64 = 1.0;
+
 /// When a solve ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptimizerOptions {
@@ -135,7 +138,10 @@ fn run_stage<const S: usize>(
     let Workspace { system, elimination, delta, previous } = workspace;
     let (mut damping, mut before) = (options.damping, f64::INFINITY);
     summary.outcome = Outcome::IterationsSpent;
-    for _ in 0..stage.iterations {
+    for iteration in 0..stage.iterations + stage.further {
+        if stage.iterations <= iteration && summary.decrement <= FAR {
+            break;
+        }
         system.reset(estimate.states.len(), estimate.border.len());
         problem.linearize(estimate, stage.phase, system);
         summary.iterations += 1;
@@ -216,6 +222,37 @@ mod tests {
         assert_eq!(summary.outcome, Outcome::Converged);
         assert!(0 < summary.rejected, "the full step from here climbs the wall: {summary:?}");
         assert!((estimate.states[0] - Vector2::new(1.0, 1.0)).norm() < 1e-6);
+    }
+
+    /// r = 10·(x³ − 1). Far from the root a step takes a third of x, and gᵀH⁻¹g = r².
+    struct Cube;
+
+    impl Problem<1> for Cube {
+        fn linearize(&mut self, estimate: &Estimate<1>, _: Phase, system: &mut System<1>) {
+            let x = estimate.states[0].x;
+            let residual = 10.0 * (x.powi(3) - 1.0);
+            let row = Row { residual, columns: [0], jacobian: [30.0 * x * x] };
+            system.add(0, &row, &Kernel::QUADRATIC);
+        }
+    }
+
+    /// From 10, two iterations reach 10·(2/3)² = 4.45. Further ones reach the root; they are not
+    /// made at 1.001, where the first step is 0.03 standard deviations long.
+    #[test]
+    fn a_far_start_has_further_iterations() {
+        let solved = |start, schedule| {
+            let mut estimate =
+                Estimate { states: vec![nalgebra::Vector1::new(start)], border: vec![] };
+            let mut workspace = Workspace::new(BorderLife::WholeChain);
+            let options = options(schedule);
+            let summary = optimize(&mut Cube, &mut estimate, &options, &mut workspace).unwrap();
+            (summary.iterations, estimate.states[0].x)
+        };
+        let (iterations, x) = solved(10.0, Schedule::direct(2));
+        assert!(iterations == 2 && (x - 4.45).abs() < 0.02, "{iterations} {x}");
+        let (iterations, x) = solved(10.0, Schedule::direct(2).while_far(12));
+        assert!(iterations < 12 && (x - 1.0).abs() < 1e-3, "{iterations} {x}");
+        assert_eq!(solved(1.001, Schedule::direct(1).while_far(12)).0, 1);
     }
 
     /// The factor that a solve leaves in the workspace is undamped, also after a rejected step and

@@ -13,6 +13,9 @@ const TOLERANCE: f64 = 1e-2;
 /// The same for redescending kernels, which ignore the outliers that need more steps.
 const ANNEALED_TOLERANCE: f64 = 5e-2;
 
+/// Further iterations where a window's start is far from the minimum, as after a pause.
+const FURTHER: usize = 12;
+
 /// Kernel of the estimate of a group's offset.
 pub(super) const OFFSET_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 /// Final kernel of carrier phases against a base, after annealing: 4σ.
@@ -175,7 +178,7 @@ impl GraphSettings {
                 phase: AnnealedKernel { convex: opening, target: student() },
                 follow_code: true,
             },
-            update: solve(Schedule::direct(3)),
+            update: solve(Schedule::direct(3).while_far(FURTHER)),
             whole: solve(Schedule::graduated(2, 1.0, 2.0, 1, 12)),
         }
     }
