@@ -27,7 +27,7 @@ pub(crate) struct AnswerParts<'a> {
     pub(crate) covariance: &'a SMatrix<f64, STATE, STATE>,
     pub(crate) has_velocity: bool,
     pub(crate) differences: &'a SingleDifferences,
-    /// Factor on the position's variance without integers.
+    /// Factor on the variance of a position without integers.
     pub(crate) float_factor: f64,
     pub(crate) resolution: Resolution,
     pub(crate) base: UsableBase<'a>,
@@ -37,8 +37,9 @@ pub(crate) struct AnswerParts<'a> {
 
 /// Covariance of a position by the ionosphere's gradient over a baseline, ENU (m²).
 ///
-/// The gradient lasts for minutes and is the same for all satellites: it does not average out. It
-/// is g·d in each horizontal direction and twice that upward, where the delay acts with one sign.
+/// The gradient lasts for minutes and is the same for all satellites, so its effect does not
+/// average out. σ is g·d in each horizontal direction and 2·g·d in height, because the delay has
+/// the same sign on all satellites.
 pub(crate) fn gradient_covariance(options: &RtkOptions, baseline_m: f64) -> Matrix3<f64> {
     let sigma_m = options.ionosphere_gradient * baseline_m;
     Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 4.0)) * (sigma_m * sigma_m)

@@ -1,11 +1,11 @@
-//! A chain without ambiguities beside the epochs without integers.
+//! A chain without ambiguities, for the epochs without integers.
 //!
-//! Among houses a window with ambiguities is often worse than one without a base: an arc that is
-//! new or biased takes part in the position as a constant, and multipath of its pseudoranges with
-//! it. So epochs without integers are also given to the estimator of a receiver without a base. Its
-//! pseudoranges are corrected by those of the base, so its position is relative to the base, too.
-//! The chain begins at the last epoch with integers, at the position that they give. Nothing of it
-//! returns to the window with ambiguities.
+//! Among houses a window with ambiguities is often worse than an estimator without a base. A new or
+//! biased arc, and the multipath of its pseudoranges, act on the position as a constant. So epochs
+//! without integers are also given to the estimator of a receiver without a base. Its pseudoranges
+//! are corrected by those of the base, so its position is relative to the base, too. The chain
+//! begins at the last epoch with integers, at its fixed position. The chain does not change the
+//! window with ambiguities.
 
 use nalgebra::Matrix3;
 
@@ -19,8 +19,8 @@ use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::answer::horizontal_m2;
 
-/// Largest standard deviation of a position that is not compared with others (m): ones at 8 m have
-/// odds of e⁻¹⁰, below which the comparison does not move a settled chain either.
+/// Largest standard deviation of a position that is not compared with rival positions (m). A rival
+/// at 8 m then has odds of e⁻¹⁰; at lower odds the comparison does not move a settled chain either.
 const TIED_M: f64 = 1.8;
 
 /// The last epoch with integers.
@@ -46,7 +46,8 @@ pub(crate) struct Companion {
     window: SlidingWindow,
     anchor: Option<Anchor>,
     clock: BaseClock,
-    /// Whether the chain has followed the position of the integers closely since it began.
+    /// Whether the chain began at a fixed position and its position has been certain since
+    /// ([`TIED_M`]).
     is_tied: bool,
 }
 
@@ -61,7 +62,7 @@ pub(crate) struct CompanionScratch {
 }
 
 impl Companion {
-    /// Before the first epoch.
+    /// The companion before the first epoch.
     pub(crate) fn new(setup: &Setup) -> Self {
         let window = SlidingWindow::new(setup, false);
         Self { window, anchor: None, clock: BaseClock::default(), is_tied: false }
@@ -72,7 +73,7 @@ impl Companion {
         self.window.fits(setup)
     }
 
-    /// Takes an epoch with integers, and its answer.
+    /// Keeps an epoch with integers and its answer as the new anchor, and lets the chain rest.
     pub(crate) fn rest_at(&mut self, epoch: &Epoch, fixed: &Solution) {
         self.window.rest();
         let Some(estimate) = &fixed.estimate else { return };

@@ -1,14 +1,14 @@
 //! Positions relative to a base: double differences with integer ambiguities.
 //!
-//! | room | what lives there |
+//! | module | what it contains |
 //! |---|---|
 //! | `observed` | what rover and base observe together: base, arcs, rows, noise |
 //! | `ambiguity` | from float ambiguities to confirmed integers, and their position |
 //! | `tracking` | arcs, held integers and noise from epoch to epoch, shared by both estimators |
 //! | `answer` | from a state with its ambiguities to a solution |
-//! | `companion` | a chain without ambiguities beside the epochs without integers |
+//! | `companion` | a chain without ambiguities, for the epochs without integers |
 //! | `relative` | the driver: one epoch in order, with or without a usable base |
-//! | `window` | [`RtkWindow`]: a window of epochs in the graph, answered again as they leave |
+//! | `window` | [`RtkWindow`]: a window of epochs in the graph, which are revised as they leave |
 //! | `paper` | [`RtkPaper`]: the published estimator, for comparison |
 //! | `filter` | [`RtkFilter`]: the same rows in an extended Kalman filter, for comparison |
 //!

@@ -34,7 +34,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// Scratch of the solver.
     type Scratch: Default + Debug;
 
-    /// Whether its positions without integers are tested against others.
+    /// Whether its positions without integers are tested against rival positions.
     const DOUBTS: bool = true;
 
     /// Whether a chain without ambiguities accompanies the epochs without integers.
@@ -46,7 +46,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     /// An empty list of past epochs; it keeps epochs only if `revises`.
     fn past(revises: bool) -> Self::Past;
 
-    /// Time of the newest epoch; `None` where the solver must restart.
+    /// Time of the newest epoch; `None` if the solver must restart.
     fn last_time(&self) -> Option<GpsTime>;
 
     /// The newest state, extrapolated to `time` by its velocity.
@@ -141,7 +141,7 @@ pub(crate) struct Relative<S: RelativeSolver> {
     base: BaseTracking,
     /// Tests positions without integers.
     watch: PseudorangeWatch,
-    /// Where the solver starts again at the next epoch, from its prediction (m, local).
+    /// Where the solver starts again at the next epoch, relative to its prediction (m, local).
     move_m: Option<Vector3<f64>>,
     /// Answers while no base can be used.
     alone: Option<Box<S::Alone>>,
@@ -183,8 +183,8 @@ impl<S: RelativeSolver> Default for RelativeScratch<S> {
     }
 }
 
-/// Whether a chain without ambiguities accompanies a solver: not where single epochs or real-valued
-/// ambiguities are asked for.
+/// Whether a chain without ambiguities accompanies a solver. Not if the options request single
+/// epochs or real-valued ambiguities.
 fn is_accompanied<S: RelativeSolver>(setup: &Setup) -> bool {
     let options = &setup.options.rtk;
     S::IS_ACCOMPANIED && options.resolve && !options.single_epoch
@@ -374,8 +374,8 @@ impl<S: RelativeSolver> Relative<S> {
         }))
     }
 
-    /// The answer to an epoch that was solved: that of the companion, if it has no integers and the
-    /// companion states a smaller covariance.
+    /// The answer to an epoch that was solved. If it has no integers and the companion has a
+    /// smaller covariance, it is the companion's answer.
     fn accompany(
         &mut self,
         solution: Solution,
@@ -402,8 +402,8 @@ impl<S: RelativeSolver> Relative<S> {
 
     /// Adds a solution; if it has no integers, tests whether another position is clearly likelier.
     ///
-    /// The solver starts there at the next epoch: this one is part of its window already, and of
-    /// the answers that may be revised.
+    /// The solver starts there at the next epoch, because this epoch is already part of its window
+    /// and of the answers that may be revised.
     fn reconsider(
         &mut self,
         resolved: &Resolved,

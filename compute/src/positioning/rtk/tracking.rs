@@ -128,9 +128,9 @@ impl Tracking {
         resolution
     }
 
-    /// Whether the searches without each satellite confirm the held integers of this probability,
-    /// and the epoch before found them too if they are not nearly certain. Confirmed integers are
-    /// dropped if such a search finds others that are likelier.
+    /// Whether the held integers are confirmed by the searches without each satellite. If
+    /// `probability` is not nearly certain, the epoch before must have found the integers, too.
+    /// Confirmed integers are dropped if such a search finds likelier ones.
     fn is_confirmed(
         &mut self,
         probability: f64,

@@ -6,9 +6,9 @@ use crate::lambda::{KnownScale, Options, Outcome, Rejection};
 
 /// Candidates whose likelihoods make up the posterior probability.
 const CANDIDATES: usize = 4;
-/// Most nodes of the search tree in one epoch.
+/// Largest number of nodes of the search tree in one epoch.
 const NODES_MAX: usize = 20_000;
-/// Most subsets tried in one epoch.
+/// Largest number of subsets tried in one epoch.
 const ATTEMPTS_MAX: usize = 12;
 
 /// Options of the search, given the scale of the noise.

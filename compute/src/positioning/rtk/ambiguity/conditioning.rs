@@ -11,19 +11,19 @@ use super::float::FloatSolution;
 use super::integers::DISAGREEMENT;
 use super::joint::{Joint, condition, given_unfixed_ambiguities};
 
-/// An ambiguity of an earlier epoch with the integer known for it now.
+/// An ambiguity of an earlier epoch, with the integer that is known for it now.
 pub(crate) struct EarlierAmbiguity<'a> {
     pub(crate) arc: &'a ArcReference,
     pub(crate) held: Option<HeldInteger>,
 }
 
-/// Conditions an epoch on the known integers of its ambiguities; `None` where these are too few,
-/// leave the position too uncertain, or do not agree with the epoch.
+/// Conditions an epoch on the known integers of its ambiguities. `None` if these are too few, leave
+/// the position too uncertain, or do not agree with the epoch.
 ///
-/// They agree if the float ambiguities lie within 2σ rms of them and the unfixed ones do not
-/// contradict them. Errors that are correlated in time can put float ambiguities further off than
-/// their covariance allows. Known integers that are further off agree only if a search finds them
-/// again and finds no others.
+/// The integers agree with the epoch if the float ambiguities lie within 2σ rms of them and the
+/// unfixed ambiguities do not contradict them. Errors that are correlated in time can put float
+/// ambiguities further from the right integers than their covariance allows. So integers beyond 2σ
+/// rms agree only if a search accepts exactly these.
 pub(crate) fn condition_on_known_integers(
     float: &FloatSolution,
     ambiguities: &[EarlierAmbiguity<'_>],
@@ -72,7 +72,7 @@ fn reference(ambiguities: &[EarlierAmbiguity<'_>], group: DifferenceGroup) -> Op
     datums.max_by_key(|&(datum, i)| (datum, std::cmp::Reverse(i))).map(|(_, i)| i)
 }
 
-/// Whether a search finds these integers and no others.
+/// Whether a search accepts exactly these integers.
 fn are_found(
     joint: &Joint,
     integers: &[i64],

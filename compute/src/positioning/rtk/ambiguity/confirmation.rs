@@ -1,21 +1,23 @@
 //! Confirms a fix by leaving out each satellite in turn: solution separation, applied to integers.
 //!
 //! Multipath on one satellite biases the float ambiguities, and the posterior probability of a
-//! search does not model it. So there are n + 1 models of an epoch: no carrier is faulty, or those
-//! of one of the n satellites. In the latter, the fractional parts of its ambiguities are uniform,
-//! and the others have the integers of a search without it. Averaged over the models, each with its
-//! prior probability and the evidence of the floats for it, the held integers have the probability
+//! search does not model this. So an epoch has n + 1 models: either no satellite has faulty
+//! carriers, or one of the n satellites has. In a model with a faulty satellite, the fractional
+//! parts of its ambiguities are uniform, and the other ambiguities have the integers of a search
+//! without it. Each model counts with its prior probability and with the evidence of the float
+//! ambiguities for it. Averaged over the models, the held integers have the probability
 //!
 //! P = ((1 − ε) + ε/n·Σ Eᵢ·pᵢ)/((1 − ε) + ε/n·Σ Eᵢ),
 //!
-//! ε the prior probability that one of them is faulty, Eᵢ the density of the floats without
-//! satellite i over that of all floats, and pᵢ the probability that the search without it gives to
-//! the held integers. The model without a fault counts them as certain here: what its own search
-//! says is a factor of its own.
+//! ε is the prior probability that one satellite is faulty. Eᵢ is the density of the float
+//! ambiguities without satellite i, divided by the density of all. pᵢ is the probability that the
+//! search without satellite i gives to the held integers. The model without a fault counts the held
+//! integers as certain here: the probability of the search with all satellites is a factor of its
+//! own.
 //!
-//! The evidence is worth as much as the covariance of the floats. Where multipath makes that too
-//! small, all floats may fit wrong integers, and every Eᵢ is small. So P is also computed with
-//! Eᵢ = 1, the prior weights, and the smaller of the two counts.
+//! The evidence is only as good as the covariance of the float ambiguities. If multipath makes that
+//! covariance too small, wrong integers may fit all float ambiguities, and every Eᵢ is small. So P
+//! is also computed with Eᵢ = 1, that is with the prior weights, and the smaller P counts.
 //!
 //! Source: the idea is that of solution separation, Brown & McBurney (1988), *Self-contained GPS
 //! integrity check using maximum solution separation*, Navigation 35(1), 41–53. Model averaging:
@@ -28,9 +30,9 @@ use crate::snapshot::{snapshot_fields, state_fields};
 use super::hold::NEARLY_CERTAIN;
 use super::joint::{FAULTY, scale_odds};
 
-/// Odds of confirmed integers before a search: many epochs have found them.
+/// Prior odds of confirmed integers in a search: many epochs have found them.
 const CONFIRMED_ODDS: f64 = NEARLY_CERTAIN / (1.0 - NEARLY_CERTAIN);
-/// Confirmed integers that are less likely right than wrong are refuted.
+/// Confirmed integers are refuted below this probability: they are more likely wrong than right.
 const REFUTED: f64 = 0.5;
 
 /// Outcome of a search without one satellite.
@@ -38,13 +40,13 @@ const REFUTED: f64 = 0.5;
 pub(crate) struct Separated {
     /// Probability of the held integers.
     pub(crate) probability: f64,
-    /// Density of the floats that are left over that of all floats.
+    /// Density of the float ambiguities without the satellite, divided by the density of all.
     pub(crate) evidence: f64,
 }
 
 impl Separated {
-    /// Without the satellite there are too few ambiguities for a search: nothing speaks for the
-    /// held integers, nor for another model.
+    /// Too few ambiguities are left for a search without the satellite: there is no evidence for
+    /// the held integers, and none for another model.
     const IMPOSSIBLE: Self = Self { probability: 0.0, evidence: 1.0 };
 }
 
@@ -80,14 +82,14 @@ impl Confirmation {
         self.is_confirmed
     }
 
-    /// Probability P of the held integers, averaged over who is faulty; one before any search.
+    /// Probability P of the held integers, averaged over the models; one before any search.
     pub(crate) fn probability(&self) -> f64 {
         let odds = if self.is_confirmed { CONFIRMED_ODDS } else { 1.0 };
         let by_evidence = self.averaged(|one| (one.evidence, scale_odds(odds, one.probability)));
         by_evidence.min(self.averaged(|one| (1.0, one.probability)))
     }
 
-    /// P with the evidence and the probability that `of` takes from each search.
+    /// P by the evidence and the probability that `of` returns for each search.
     fn averaged(&self, of: impl Fn(Separated) -> (f64, f64)) -> f64 {
         let searches = self.separations.iter().filter_map(|separation| separation.outcome).map(of);
         let (mut right, mut all, mut count) = (0.0, 0.0, 0.0);
@@ -100,11 +102,11 @@ impl Confirmation {
         (1.0 - FAULTY + prior * right) / (1.0 - FAULTY + prior * all)
     }
 
-    /// Tests the integers of `satellites`, each test being a search without one of them.
+    /// Tests the integers of `satellites`. Each test is a search without one satellite.
     ///
-    /// Integers that are not confirmed are tested without every satellite; `probability_min`
-    /// confirms them. Confirmed ones are tested without one satellite an epoch, in turn, and stay
-    /// confirmed until they are refuted.
+    /// Integers that are not confirmed are tested without each satellite, all in one epoch. They
+    /// are confirmed if P is at least `probability_min`. Confirmed integers are tested without one
+    /// satellite per epoch, in turn, and stay confirmed until they are refuted.
     pub(crate) fn update(
         &mut self,
         satellites: &[SatelliteId],
@@ -170,8 +172,9 @@ mod tests {
         assert!(confirmation.is_confirmed());
     }
 
-    /// Integers that fit all floats, but that hardly any search without a satellite finds again, are
-    /// not confirmed however little its evidence is: five of eight are enough, three are not.
+    /// Integers that fit all float ambiguities are not confirmed if few searches without a
+    /// satellite find them again, however small the evidence of these searches is. Five of eight
+    /// searches are enough, three are not.
     #[test]
     fn integers_must_be_found_again() {
         for (again, is_confirmed) in [(5, true), (3, false)] {
@@ -185,8 +188,9 @@ mod tests {
         }
     }
 
-    /// Other integers without one satellite refute the held ones if the floats without it are much
-    /// denser than all floats: it is then likely to be faulty. If not, they count by its prior.
+    /// If a search without one satellite finds other integers, they refute the held ones only if
+    /// the float ambiguities without it are much denser than all: the satellite is then likely
+    /// faulty. Otherwise the other integers count with the prior probability of that fault.
     #[test]
     fn a_contradiction_counts_as_much_as_its_evidence() {
         for (evidence, is_right) in [(0.01, true), (1.0, true), (5.0, false), (1000.0, false)] {
@@ -203,8 +207,8 @@ mod tests {
         assert!(!nothing.is_confirmed());
     }
 
-    /// Confirmed integers are tested without one satellite an epoch, in turn, and dropped at once
-    /// where that satellite turns out to be faulty and others to be right.
+    /// Confirmed integers are tested without one satellite per epoch, in turn. They are dropped at
+    /// once if a test shows that its satellite is faulty and other integers are right.
     #[test]
     fn confirmed_integers_are_tested_in_turn() {
         let mut confirmation = Confirmation::default();

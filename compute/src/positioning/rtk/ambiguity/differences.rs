@@ -30,7 +30,8 @@ pub(super) struct Differences {
 
 impl Differences {
     /// Forms the double differences of the eligible arcs, each against the reference satellite of
-    /// its group: the highest of those with a proven integer, else with an integer, else of all.
+    /// its group. That is the highest satellite with a proven integer, else the highest with an
+    /// integer, else the highest of all.
     pub(super) fn form(
         &mut self,
         arcs: &[CarrierArc],
@@ -80,10 +81,10 @@ impl Differences {
         (0..self.pairs.len()).filter(|&i| is_wanted(&self.pairs[i])).collect()
     }
 
-    /// The sets of pairs to search, one after another until integers are found: groups with one
-    /// wavelength, if there are others; all; and all but one group.
+    /// The sets of pairs to search, in this order, until integers are found: the groups with one
+    /// wavelength, if there are others; all groups; then all groups but one, for each group.
     ///
-    /// Receivers of different makers may not agree on the phase of one signal.
+    /// Receivers of different manufacturers may disagree about the phase of one signal.
     pub(super) fn subsets(&self, arcs: &[CarrierArc], fixed_min: usize) -> Vec<Vec<usize>> {
         let group = |pair: &DoubleDifference| arcs[pair.arc].group();
         let mut groups: Vec<_> = self.pairs.iter().map(group).collect();
@@ -102,7 +103,7 @@ impl Differences {
     }
 }
 
-/// Whether all arcs of the group have one wavelength, so that cycles common to all are an offset.
+/// Whether all arcs of this arc's group have one wavelength: common cycles are then an offset.
 fn has_one_wavelength(arc: &CarrierArc) -> bool {
     arc.satellite.constellation != Constellation::Glonass
 }

@@ -10,13 +10,15 @@ use crate::positioning::setup::{CARRIER_KERNEL, OFFSET_KERNEL};
 
 use super::joint::Joint;
 
-/// Standard deviation of the start of the iterations (m): much wider than the phases allow.
+/// Standard deviation of the prior at the start (m): much larger than that of the phases.
 const START_M: f64 = 10.0;
-/// Factors on the kernel's width, one for each iteration: outliers show once the others agree.
+/// Factors on the kernel's width, one for each iteration. The kernel is wide at first, because
+/// outliers are visible only when the other phases agree.
 const WIDENINGS: [f64; 7] = [4.0, 2.0, 1.4, 1.0, 1.0, 1.0, 1.0];
-/// Iterations with the convex kernel of the group offsets, before those.
+/// Number of iterations before these, with the convex kernel of the group offsets.
 const CONVEX_ITERATIONS: usize = 3;
-/// If less than this fraction of a satellite's information is redundant, no other one checks it.
+/// If less than this fraction of a satellite's information is redundant, no other satellite checks
+/// it.
 const REDUNDANCY_MIN: f64 = 1e-9;
 /// Prior information on the cycles that all phases of a group share (1/cycles²): σ = 1000 cycles.
 const COMMON_INFORMATION: f64 = 1e-6;
@@ -44,7 +46,7 @@ impl KnownPosition {
         }
     }
 
-    /// Adds its pull and information to normal equations whose unknown is a shift from `origin`,
+    /// Adds this position as a prior to normal equations whose unknown is a shift from `origin`,
     /// linearised at the shift `moved` (m).
     fn add_to(
         &self,
@@ -57,25 +59,25 @@ impl KnownPosition {
     }
 }
 
-/// A position with integers held.
+/// A position conditioned on held integers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FixedPosition {
     /// Local (m).
     pub(crate) position: Vector3<f64>,
     /// (m²).
     pub(crate) covariance: Matrix3<f64>,
-    /// Double differences with integers.
+    /// Number of double differences with integers.
     pub(crate) held: usize,
-    /// Probability that all of them are right.
+    /// Probability that all these integers are right.
     pub(crate) probability: f64,
-    /// The position that the proven ones give alone, by this epoch and those before, if they are
-    /// enough.
+    /// Position from the proven integers alone, by this epoch and the earlier ones; `None` if too
+    /// few are proven.
     pub(crate) by_proven: Option<KnownPosition>,
 }
 
 impl FixedPosition {
-    /// The standard deviation that is too large for a fix, if one is: the greatest horizontal one,
-    /// else the vertical one (m).
+    /// The standard deviation that is too large for a fix, if there is one (m): the largest
+    /// horizontal one, else the vertical one.
     pub(crate) fn excessive_sigma_m(&self) -> Option<f64> {
         let horizontal = self.covariance.fixed_view::<2, 2>(0, 0).into_owned();
         let horizontal_m = horizontal.symmetric_eigenvalues().max().sqrt();
@@ -86,15 +88,16 @@ impl FixedPosition {
     }
 }
 
-/// A position by phases with integers alone.
+/// A position from phases with integers alone.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PhasePosition {
     /// Local (m).
     pub(crate) position: Vector3<f64>,
     /// (m²).
     pub(crate) covariance: Matrix3<f64>,
-    /// Largest horizontal shift by one faulty satellite over the norm of the whitened residuals
-    /// that it leaves (m); infinite where no other satellite checks it.
+    /// Horizontal shift by one faulty satellite, divided by the norm of the whitened residuals that
+    /// it leaves: the largest of all satellites (m). Infinite if no other satellite checks one of
+    /// them.
     slope_m: f64,
 }
 
@@ -105,11 +108,12 @@ impl PhasePosition {
     }
 
     /// Largest shift of the position by one faulty satellite (m), given the sum of `squares` of the
-    /// whitened residuals and their number.
+    /// whitened residuals and the number of residuals.
     ///
-    /// An error b of satellite s, common to its signals, moves the position by b·C·Σ wa and leaves
-    /// residuals of the norm b·√(Σ w − (Σ wa)ᵀ·C·(Σ wa)), sums over the rows of s; so one follows
-    /// from the other. Excess χ² is attributed to the satellite with the largest slope.
+    /// An error b of satellite s, common to its signals, moves the position by b·C·Σ wa. It leaves
+    /// residuals of the norm b·√(Σ w − (Σ wa)ᵀ·C·(Σ wa)). The sums are over the rows of s with
+    /// weight w and slope a. So the norm of the residuals gives the shift. Excess χ² is attributed
+    /// to the satellite with the largest slope.
     ///
     /// Source: the characteristic slope of receiver autonomous integrity monitoring; Zhao, Song &
     /// Wang (2024), *An improved RAIM availability assessment method based on the characteristic
@@ -130,25 +134,26 @@ pub(crate) struct FixedEpoch<'a> {
     pub(crate) arcs: &'a Arcs,
 }
 
-/// A phase with its integer: satellite, row. The row's share is what the known position does not
-/// have of the phase's information.
+/// A phase with its integer. The row's independent share is the fraction of the phase's information
+/// that the known position does not contain.
 struct Phase {
     sight: usize,
     row: SharingRow<3>,
 }
 
-/// The position on which the phases of an epoch agree, by iterations from `start`; `None` if they
-/// do not determine one.
+/// The position from the phases of an epoch, by iterations from `start`; `None` if they do not
+/// determine one.
 ///
 /// The graph counts only a fraction of a phase's weight, because errors are correlated in time and
 /// earlier epochs have determined its ambiguity. With integers no ambiguity is left: each phase has
 /// its full weight under [`CARRIER_KERNEL`], which rejects outliers. Each group has an offset and,
 /// where wavelengths differ, a number of cycles that all its phases share.
 ///
-/// These offsets are free here, so few phases in many groups determine a position badly, and one
-/// with a large error may draw it to where others are rejected. The `known` position, that of the
-/// proven integers in the graph, has the offsets of earlier epochs. It enters as a prior. It
-/// contains the fraction of a proven phase that the graph has counted; the rest is added here.
+/// These offsets are free here. So few phases in many groups determine a position badly, and one
+/// phase with a large error may move it so far that other phases are rejected. The `known`
+/// position, that of the proven integers in the graph, uses the offsets of earlier epochs. It
+/// enters as a prior. It contains the fraction of a proven phase that the graph has counted; the
+/// rest is added here.
 pub(crate) fn position_from_fixed_phases(
     fixed: &FixedEpoch<'_>,
     start: &Vector3<f64>,
@@ -172,8 +177,8 @@ pub(crate) fn position_from_fixed_phases(
 }
 
 /// Subtracts the integers of the newest datum from the rows of one group and drops the other rows.
-/// The datum itself is unknown: where wavelengths differ it is not an offset, so it is set to the
-/// mean of the float ambiguities.
+/// The cycles of the datum are unknown. Where wavelengths differ they are not an offset, so they
+/// are set to the mean of the float ambiguities less their integers.
 pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
     let held = |row: &SharingRow<3>| {
         let (variable, _) = row.border?;
@@ -199,8 +204,8 @@ pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<Shar
     });
 }
 
-/// The phases with integers of each group, linearised at a position. If the proven integers have
-/// given a position, their phases lose the information that it contains.
+/// The phases with integers of each group, linearised at a position. If `proven_count`, the proven
+/// integers have already given a position: their phases then lose the information that it contains.
 fn phases(
     fixed: &FixedEpoch<'_>,
     position: &Vector3<f64>,
@@ -276,7 +281,7 @@ fn normal_equations(
             tie += centred * (weight * beyond_m);
             common += weight * beyond_m.powi(2);
         }
-        // The common cycles' part of the pull is out of the residuals.
+        // The residuals are already without the common cycles, so `pull` has no such part.
         information -= tie * tie.transpose() / common;
     }
     (pull, information)
@@ -319,8 +324,8 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
     Vector3::from(row.row.jacobian) / row.by_offset
 }
 
-/// [`PhasePosition::slope_m`]; the cycles common to a group count as known. Phases have their full
-/// weight, since an error of a satellite is also in the known position.
+/// [`PhasePosition::slope_m`]. The cycles common to a group are taken as known. Phases have their
+/// full weight, because a satellite's error is in the known position as well.
 fn characteristic_slope_m(
     groups: &[Vec<Phase>],
     known: Option<&KnownPosition>,
@@ -443,9 +448,9 @@ mod tests {
         }
     }
 
-    /// Three satellites with σ of 1 cm leave the position uncertain by metres; a position known to
-    /// 2 cm makes the fix that good. Beside it phases keep four fifths of their information. Four of
-    /// ten satellites are wrong by a cycle: with a known position all of these are rejected.
+    /// Three satellites with a σ of 1 cm leave the position uncertain by metres; with a position
+    /// known to 2 cm the fix is as good as that. Phases then keep four fifths of their information.
+    /// If four of ten satellites are wrong by a cycle, a known position makes all four rejected.
     #[test]
     fn a_known_position_tells_which_phases_are_wrong() {
         let known = KnownPosition {
@@ -520,7 +525,7 @@ mod tests {
         assert!((miss_m(3) - 0.01).abs() < 1e-3, "{}", miss_m(3));
     }
 
-    /// With four satellites none is checked by the others; small residuals then prove nothing.
+    /// With four satellites the others check none of them; small residuals then prove nothing.
     #[test]
     fn what_nothing_checks_may_hide_anything() {
         let four = by_phases(4, 0, 0.0);

@@ -6,10 +6,10 @@ use crate::snapshot::snapshot_fields;
 /// Upper bound of the probability of held integers: a cycle slip may be undetected.
 const CERTAIN: f64 = 1.0 - 1e-6;
 
-/// An integer is proven by two epochs in a row if the search of the later one is nearly certain:
-/// multipath of phases changes within seconds and integers do not.
+/// Number of epochs in a row that prove an integer if the search of the last one is nearly certain.
+/// Multipath of phases changes within seconds, and integers do not.
 pub(crate) const FOUND_EPOCHS: u32 = 2;
-/// The probability of that search.
+/// From this probability on, a search is nearly certain.
 pub(crate) const NEARLY_CERTAIN: f64 = 0.9999;
 
 /// The history of the held integers.
@@ -18,15 +18,15 @@ pub(crate) struct HoldState {
     /// Consecutive epochs that found the same integers.
     pub(crate) consecutive_epochs: u32,
     pub(crate) probability: f64,
-    /// Factor on it by the searches without one satellite.
+    /// Factor on `probability`, from the searches without one satellite.
     pub(crate) reliability: f64,
     pub(crate) ratio: Option<f64>,
     pub(crate) success_rate: Option<f64>,
-    /// Number of the period: how often all integers have been dropped.
+    /// Number of the current period: how many times all integers have been dropped.
     pub(crate) period: u32,
     /// The last period whose integers were found to be wrong.
     pub(crate) refuted: Option<u32>,
-    /// Whether they have been confirmed.
+    /// Whether the integers have been confirmed in this period.
     pub(crate) was_held: bool,
     /// Number of datums so far.
     pub(crate) datums: u32,

@@ -1,4 +1,4 @@
-//! Integers by the period in which they were held, for epochs that are answered again.
+//! Integers by the period in which they were held, for the revision of earlier epochs.
 
 use crate::gnss::GpsTime;
 use crate::positioning::rtk::observed::{CarrierArc, HeldInteger};
@@ -17,13 +17,13 @@ struct KnownInteger {
     last: GpsTime,
 }
 
-/// The time between two drops of all integers.
+/// The time between two drops of all integers, with what is known of its integers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct HoldPeriod {
     pub(crate) number: u32,
-    /// Enough consecutive epochs have found them.
+    /// Whether the integers were confirmed in this period.
     pub(crate) was_held: bool,
-    /// They were found to be wrong.
+    /// Whether the integers were found to be wrong.
     is_refuted: bool,
     pub(crate) probability: f64,
     /// [`HoldState::reliability`].
@@ -123,7 +123,7 @@ impl IntegerHistory {
         counts.iter().filter_map(period).collect()
     }
 
-    /// The integer of an arc in a period; of two the newer.
+    /// The integer of an arc in a period; if there are two, the newer one.
     pub(crate) fn find(&self, serial: u64, period: u32) -> Option<HeldInteger> {
         let found = self.of(serial).iter().rev().find(|known| known.period == period);
         found.map(|known| known.held)
@@ -159,7 +159,7 @@ mod tests {
         history.not_refuted(serials.iter().copied()).iter().map(|period| period.number).collect()
     }
 
-    /// HoldPeriod 0 holds integers of arcs 1 to 3, period 1 arcs 2 and 3, period 2 arc 3 alone.
+    /// Period 0 holds integers of arcs 1 to 3, period 1 of arcs 2 and 3, period 2 of arc 3 alone.
     #[test]
     fn the_fullest_period_comes_first_until_it_is_refuted() {
         let mut history = IntegerHistory::default();

@@ -1,10 +1,10 @@
 //! The search for integers among float ambiguities.
 //!
 //! An integer that was found is held with its arc, relative to a datum of the arc's group. Held
-//! integers are not part of the graph. At each epoch the float solution is conditioned on those
-//! that are proven, after a test of whether it still agrees; if it does not, they are dropped. The
-//! conditioned solution is then searched for the integers of the other ambiguities. These are on
-//! trial, and searched again, until enough epochs in a row have found them.
+//! integers are not part of the graph. At each epoch the float solution is tested against the
+//! proven integers. If it still agrees, it is conditioned on them; if not, they are dropped. The
+//! conditioned solution is then searched for the integers of the other ambiguities. These integers
+//! are on trial: they are searched again until enough epochs in a row have found them.
 
 use nalgebra::DMatrix;
 
@@ -22,7 +22,7 @@ use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scal
 
 /// Number of ambiguities for which storage is reserved at first.
 const CAPACITY: usize = 64;
-/// Most subsets tried when new ambiguities join held integers; the search repeats each epoch.
+/// Largest number of subsets tried when new ambiguities join held integers; each epoch tries again.
 const OTHERS_ATTEMPTS_MAX: usize = 3;
 /// ‖â − z‖² per held integer below which they are accepted without a search: 2σ rms.
 pub(crate) const DISAGREEMENT: f64 = 4.0;
@@ -44,7 +44,7 @@ impl Resolution {
         Self { ambiguities, ratio, success_rate, outcome: Err(Reason::FixRejected) }
     }
 
-    /// The same, refused for a reason.
+    /// This resolution, refused for a reason.
     pub(crate) fn refused(self, reason: Reason) -> Self {
         Self { outcome: Err(reason), ..self }
     }
@@ -59,7 +59,7 @@ impl Resolution {
     }
 }
 
-/// Which integers are requested.
+/// The question that a search answers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct IntegerQuestion<'a> {
     /// Only arcs with a phase at this time.
@@ -77,7 +77,8 @@ struct Judgement<'a> {
     odds_divisor: f64,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
-    /// Integers were held, and the float solution no longer agrees with them.
+    /// Whether integers were held. Once all ambiguities are searched, the float solution no longer
+    /// agrees with them.
     were_held: bool,
 }
 
@@ -146,7 +147,7 @@ impl IntegerSearch {
         if resolution.outcome.is_err() && !were_held {
             hold.missed();
         }
-        // Held integers that no longer agree are wrong only if others are found.
+        // Held integers that no longer agree count as wrong only if others are found.
         if were_held && hold_epochs <= hold.consecutive_epochs {
             hold.drop_all(arcs, false);
         }
@@ -164,9 +165,11 @@ impl IntegerSearch {
         Resolution { ambiguities, ratio, success_rate, outcome: Err(reason) }
     }
 
-    /// Conditions on the proven integers, then searches for those of the others. Where too few are
-    /// proven, those on trial are held as well, at the least probability with which they were
-    /// found. `None` where too few are held, or these no longer agree with the float solution.
+    /// Conditions on the proven integers, then searches for those of the others.
+    ///
+    /// If too few are proven, those on trial are held as well, and `probability_min` is their
+    /// probability: each was found with at least that. `None` if too few are held, or if these no
+    /// longer agree with the float solution.
     fn resolve_held(
         &mut self,
         arcs: &mut Arcs,
@@ -206,9 +209,9 @@ impl IntegerSearch {
         })
     }
 
-    /// Searches for the integers of the pairs `others`, whose ambiguities are those of `joint`:
-    /// what is left after conditioning on the integers found, their number and probability. Arcs on
-    /// trial whose integers are not found again lose them.
+    /// Searches for the integers of the pairs `others`, whose ambiguities are those of `joint`.
+    /// Returns the distribution conditioned on the integers found, their number and their
+    /// probability. Arcs on trial whose integers are not found again lose them.
     fn try_others(
         &mut self,
         arcs: &mut Arcs,
@@ -518,7 +521,8 @@ mod tests {
         }
     }
 
-    /// Held integers that the float ambiguities are 3σ off stay as long as no others fit better.
+    /// Held integers stay although the float ambiguities are 3σ from them, as long as no other
+    /// integers fit better.
     #[test]
     fn held_integers_stay_while_none_fit_better() {
         let mut arcs = arcs(0);
@@ -565,8 +569,9 @@ mod tests {
         }
     }
 
-    /// Right integers are found again without any satellite, also without the reference. If one of
-    /// them is a cycle off, they are without its satellite only.
+    /// The search without any one satellite finds the right integers again, also without the
+    /// reference. If one held integer is a cycle off, only the search without its satellite finds
+    /// the others again.
     #[test]
     fn searches_without_a_satellite_find_who_is_wrong() {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
@@ -589,8 +594,8 @@ mod tests {
         assert!(IntegerSearch::default().separator(&arcs(2), &question).is_none());
     }
 
-    /// Integers that leave the position uncertain by more than 5 cm, or the height by more than
-    /// 15 cm, are no fix.
+    /// Integers that leave the position uncertain by more than 5 cm, or the height by more than 15
+    /// cm, are not accepted as a fix.
     #[test]
     fn an_uncertain_position_is_refused() {
         let outcome = |horizontal_m: f64, vertical_m: f64| {

@@ -98,8 +98,8 @@ pub(crate) fn given_unfixed_ambiguities(probability: f64, rest: &Joint) -> f64 {
     scale_odds(factor, probability)
 }
 
-/// Position and the ambiguities `others`, conditioned on those `known` to have `values`; and
-/// ‖â − z‖² of the latter. `None` where their covariance is not positive definite.
+/// Position and the ambiguities `others`, conditioned on `values` for the ambiguities `known`; and
+/// ‖â − z‖² of the known ones. `None` if their covariance is not positive definite.
 ///
 /// With Q_h = LLᵀ, W = L⁻¹Q_hb and y = L⁻¹(z − â): b + Wᵀy, Q_b − WᵀW, yᵀy.
 ///

@@ -9,7 +9,8 @@ use super::acceptance::lambda_options;
 use super::confirmation::Separated;
 use super::integers::{IntegerQuestion, IntegerSearch, may_be_integer};
 
-/// Bound of a log ratio of evidence, so that sums stay finite: beyond it nothing else counts.
+/// Upper bound of a log ratio of evidence, so that sums stay finite: such a model outweighs all
+/// others.
 const LOG_EVIDENCE_MOST: f64 = 100.0;
 
 /// Searches for the held integers of an epoch without one satellite, after one decorrelation.

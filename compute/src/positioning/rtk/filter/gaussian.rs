@@ -22,7 +22,7 @@ const OFFSET_M: f64 = 1e3;
 #[derive(Debug)]
 pub(crate) struct Gaussian {
     mean: Vec<f64>,
-    /// By columns; zero where a variable has not begun.
+    /// Column-major; zero where a variable has not begun.
     covariance: Vec<f64>,
 }
 
@@ -353,7 +353,7 @@ mod tests {
         gaussian.state().iter().chain(gaussian.border()).copied().collect()
     }
 
-    /// A phase that is off by one cycle is rejected at every position in its group, and changes
+    /// A phase that is off by one cycle is rejected at every index in its group, and changes
     /// nothing.
     #[test]
     fn a_slip_is_left_out() {

@@ -21,12 +21,12 @@ const START_M: f64 = 1e3;
 /// State of the filter between epochs.
 #[derive(Debug)]
 pub(crate) struct FilterState {
-    /// Time of the newest epoch filtered; `None` where the filter must restart.
+    /// Time of the newest epoch filtered; `None` if the filter must restart.
     time: Option<GpsTime>,
     frame: LocalFrame,
     gaussian: Gaussian,
     tracking: Tracking,
-    /// For how long most pseudoranges have failed the test (s).
+    /// How long most pseudoranges have failed the innovation test (s).
     failing_s: f64,
 }
 
@@ -38,7 +38,7 @@ pub(crate) struct FilterStateScratch {
     rows: RowScratch,
     search: IntegerSearch,
     epoch: RtkEpoch,
-    /// The state before the epoch's rows.
+    /// The predicted distribution, before the epoch's rows enter.
     before: Gaussian,
     border: Vec<f64>,
     gains: Gains,
@@ -156,7 +156,8 @@ impl FilterState {
         }
     }
 
-    /// Updates with the epoch's rows, until no slip is found; returns whether the filter is lost.
+    /// Updates with the epoch's rows, again after each round that finds slips. Returns whether the
+    /// filter must restart.
     fn update(&mut self, new: NewEpoch<'_>, scratch: &mut FilterStateScratch) -> bool {
         let NewEpoch { differences, setup, slipped, .. } = new;
         let Self { gaussian, tracking: Tracking { arcs, receivers, .. }, frame, .. } = self;
@@ -192,8 +193,8 @@ impl FilterState {
     }
 }
 
-/// Updates with all rows of an epoch: each group of pseudoranges, then the carriers. Returns two
-/// numbers of pseudoranges: those that passed the innovation test, and all.
+/// Updates with all rows of an epoch: the Doppler shifts, each group of pseudoranges, then the
+/// carriers. Returns two numbers of pseudoranges: those that passed the innovation test, and all.
 fn enter(
     gaussian: &mut Gaussian,
     epoch: &RtkEpoch,

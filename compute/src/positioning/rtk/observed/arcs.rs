@@ -1,4 +1,4 @@
-//! Carrier arcs: the only file that changes them.
+//! Carrier arcs. Only this file changes them.
 //!
 //! An arc is one carrier of one satellite, tracked by rover and base without a slip. It has one
 //! border variable of the graph for all its epochs. The variable is free again once no arc and no
@@ -22,7 +22,7 @@ pub(crate) struct CarrierArc {
     pub(crate) codes: [ObservationCode; 2],
     /// Border variable of its ambiguity.
     pub(crate) variable: usize,
-    /// Number of arcs that began before it; never used again, unlike the variable.
+    /// Number of arcs that began before it. Unlike the variable, it is never used again.
     pub(crate) serial: u64,
     pub(crate) frequency_hz: f64,
     /// Time of its newest phase.
@@ -33,13 +33,13 @@ pub(crate) struct CarrierArc {
     pub(crate) half_cycle: bool,
     /// Elevation at the newest phase (rad).
     pub(crate) elevation_rad: f64,
-    /// Pseudorange less phase when both were measured last (m).
+    /// Pseudorange minus phase, when both were last measured (m).
     pub(crate) code_less_phase_m: Option<f64>,
     /// Its integer, once found.
     pub(crate) held: Option<HeldInteger>,
     /// Epochs in a row whose searches have found this integer.
     pub(crate) found: u32,
-    /// Whether these were enough: the integer is not searched again.
+    /// Whether these epochs are enough: the integer is then not searched again.
     pub(crate) is_proven: bool,
 }
 
@@ -47,7 +47,7 @@ pub(crate) struct CarrierArc {
 /// have a meaning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct HeldInteger {
-    /// Number of the datum: one arc of one group, at the time its integers were found.
+    /// Number of the datum: one arc of the group, with the integer zero when the datum began.
     pub(crate) datum: u32,
     pub(crate) cycles: i64,
 }
@@ -73,7 +73,7 @@ impl CarrierArc {
         (self.held, self.found, self.is_proven) = (None, 0, false);
     }
 
-    /// What the arcs have in common whose ambiguities differ by integers.
+    /// The group of this arc: the ambiguities of a group differ by integers.
     pub(crate) fn group(&self) -> DifferenceGroup {
         DifferenceGroup::of(self.satellite, self.band, self.codes)
     }
@@ -99,7 +99,7 @@ pub(crate) struct Arcs {
     begun: u64,
     /// The arcs that ended at the newest epoch because their half cycle was resolved.
     flipped: Vec<Flipped>,
-    /// Sum of the steps of the pseudoranges' clock that the phases have not made (m).
+    /// Sum of the clock steps that the pseudoranges have made and the phases have not (m).
     code_steps_m: f64,
 }
 
@@ -194,8 +194,8 @@ impl Arcs {
         self.end(is_over, ended);
     }
 
-    /// Ends the arcs whose half-cycle flag changed: the phase may have moved by half a cycle. See
-    /// [`Self::flips`] for those that begin instead.
+    /// Ends the arcs whose half-cycle indicator changed: the phase may have moved by half a cycle.
+    /// [`Self::flips`] returns the arcs that begin in their place.
     pub(crate) fn end_flipped(
         &mut self,
         differences: &[SingleDifference],
@@ -214,8 +214,8 @@ impl Arcs {
         self.end(is_over, ended);
     }
 
-    /// The arcs that began at `time` where another one of the same carrier had ended because its
-    /// half cycle was resolved.
+    /// The arcs that began at `time` in place of an arc of the same carrier that had ended because
+    /// its half cycle was resolved.
     pub(crate) fn flips(&self, time: GpsTime) -> impl Iterator<Item = Flip> + '_ {
         self.flipped.iter().filter_map(move |flipped| {
             let follows = |arc: &&CarrierArc| {
@@ -227,13 +227,13 @@ impl Arcs {
         })
     }
 
-    /// Moves the phases of an epoch by the steps that the pseudoranges' clock has made and theirs
-    /// has not; finds a new step by the arcs that go on.
+    /// Moves the phases of an epoch by the clock steps that the pseudoranges have made and the
+    /// phases have not. A new step is found from the arcs that continue.
     ///
-    /// Receivers keep their clocks within a millisecond by steps of one. Where phases run on, a new
-    /// arc would begin relative to another clock than the earlier ones. To GPS this is an offset,
-    /// but a millisecond is 562.5 cycles more for each channel of GLONASS, whose differences are
-    /// then not whole.
+    /// Receivers keep their clocks within a millisecond by steps of one millisecond. If the phases
+    /// make no step, a new arc would refer to another clock than the earlier ones. For GPS the step
+    /// is a common offset. For GLONASS a millisecond is 562.5 cycles more for each channel number,
+    /// so the differences would not be integers.
     pub(crate) fn follow_code_clock(&mut self, differences: &mut [SingleDifference]) {
         lengthen_phases(differences, self.code_steps_m);
         let change_m = |difference: &SingleDifference| {
@@ -439,8 +439,9 @@ mod tests {
         assert_eq!(arcs.flips(at(2.0)).count(), 0);
     }
 
-    /// The code's clock steps forward by 1 ms and back by 2; phases run on. A wild pseudorange of
-    /// one of three arcs is no step. Afterwards the phases have the code's clock.
+    /// The clock of the pseudoranges steps forward by 1 ms and back by 2 ms; the phases continue. A
+    /// wild pseudorange of one of three arcs is not taken for a step. At the end the phases refer
+    /// to the clock of the pseudoranges.
     #[test]
     fn phases_follow_the_steps_of_the_codes_clock() {
         let mut arcs = Arcs::default();
@@ -467,8 +468,8 @@ mod tests {
         assert_eq!(moved_ms(4.0, [-LIGHT_MILLISECOND_M; 3]), -1.0);
     }
 
-    /// A phase that lost lock while its half cycle is unknown is no phase, so nothing of this
-    /// carrier is differenced; the loss ends its arc all the same.
+    /// A phase that lost lock while its half cycle is unknown is not used, so its carrier has no
+    /// difference. The loss still ends its arc.
     #[test]
     fn a_loss_without_a_phase_ends_the_arc() {
         let mut arcs = Arcs::default();

@@ -1,4 +1,4 @@
-//! The base between epochs of the rover.
+//! What is kept of the base between epochs of the rover.
 
 use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime};
 use crate::positioning::BasePositionCheck;
@@ -20,7 +20,7 @@ pub(crate) struct BaseMemory {
     locks: LockWatch,
     /// Carriers that may have slipped.
     lost: Vec<Tracked>,
-    /// The base lost power.
+    /// Whether the base lost power.
     power_failed: bool,
     /// The stated position, and its check.
     check: Option<(Ecef, BasePositionCheck)>,
@@ -64,8 +64,8 @@ impl BaseMemory {
         }
     }
 
-    /// Checks the stated position against the single-point positions of the base; the newest epoch
-    /// enters their mean until it has enough epochs.
+    /// Checks the stated position against the single-point positions of the base. The newest epoch
+    /// enters their mean, until the mean has enough epochs.
     pub(crate) fn checked(
         &mut self,
         station: &BaseStation,
@@ -89,7 +89,7 @@ impl BaseMemory {
         check
     }
 
-    /// Distance that the base moved since it was used last (m); `None` if it has not moved. After a
+    /// Distance that the base moved since it was last used (m); `None` if it has not moved. After a
     /// move its phases refer to another position, so no arc continues.
     pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
         let (stated, _) = self.check?;

@@ -61,9 +61,10 @@ impl CodeBiases {
         (new, Some(self.list.len() - 1))
     }
 
-    /// Updates the bias at `index` from one pseudorange: its corrected value less the range to a
-    /// known position (m), the variance of that, the bias's own included (m²), and the fraction of
-    /// its information that is independent.
+    /// Updates the bias at `index` from one pseudorange. `excess_m` is its corrected value minus
+    /// the range to a known position (m), `variance_m2` the variance of that difference, including
+    /// the variance of the bias (m²). `independent_share` is the fraction of its information that
+    /// is independent.
     pub(crate) fn learn(
         &mut self,
         index: usize,

@@ -33,8 +33,8 @@ pub(crate) struct EpochAmbiguity {
 /// A single difference as a row: r = (ρ(s, p) + λN + o − z) / σ. The offset o is the difference of
 /// the receivers' clocks: one for each group of pseudoranges, one for all carriers.
 ///
-/// Wen & Hsu (2021), (15) and (16), before the difference between satellites; N is there for
-/// carrier phases.
+/// Wen & Hsu (2021), (15) and (16), before the difference between satellites. Only carrier phases
+/// have the term λN.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct DifferenceFactor {
     /// Index of its satellite in [`RtkEpoch::sights`].
@@ -77,7 +77,7 @@ pub(crate) struct Group {
     pub(crate) is_carrier: bool,
 }
 
-/// Prior of an ambiguity that begins. The phases determine it far better.
+/// Prior of an ambiguity that begins. The phases determine the ambiguity far better.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AmbiguityStart {
     pub(crate) variable: usize,
@@ -135,7 +135,7 @@ pub(crate) struct RowScratch {
 }
 
 impl RowScratch {
-    /// Range to a satellite by the last [`RtkEpoch::see`] (m).
+    /// Range to a satellite at the state of the last [`RtkEpoch::see`] (m).
     pub(crate) fn range_m(&self, sight: usize) -> f64 {
         self.ranges[sight].0
     }
@@ -198,7 +198,7 @@ impl RtkEpoch {
         self.ties.clear();
     }
 
-    /// Computes ranges and their derivatives to all satellites at a state, into the scratch.
+    /// Computes the ranges to all satellites at a state and their derivatives, into the scratch.
     pub(crate) fn see(&self, state: &State, scratch: &mut RowScratch) {
         let position = state.fixed_rows::<3>(0).into_owned();
         scratch.ranges.clear();
@@ -290,8 +290,8 @@ impl RtkEpoch {
         self.starts.push(AmbiguityStart { variable, mean, inverse_sigma });
     }
 
-    /// Ties the ambiguity of a phase to that of the arc before. This fraction of the phase's error
-    /// is independent of that arc.
+    /// Ties the ambiguity of a phase to that of the arc before. `independent_share` is the fraction
+    /// of the phase's error that is independent of the earlier arc.
     pub(crate) fn tie(&mut self, tie: AmbiguityTie, independent_share: f64) {
         let [_, later] = tie.variables;
         let is_its =

@@ -1,10 +1,11 @@
 //! Half cycles between the ambiguities of two arcs of one carrier.
 //!
 //! A receiver that does not know the polarity of the navigation message tracks the carrier with an
-//! ambiguity of half a cycle, and says so. When it finds the polarity, the phase stays or steps by
-//! half a cycle. Until then the ambiguity is no integer, so an arc ends where the flag changes. But
-//! if the loop did not lose lock meanwhile, the ambiguities before and after differ by −½, 0 or ½
-//! cycle, and the other phases tell by which: then the new arc continues the old one's.
+//! ambiguity of half a cycle, and reports this. When it finds the polarity, the phase stays or
+//! steps by half a cycle. Until then the ambiguity is not an integer, so an arc ends where the
+//! report changes. If the loop did not lose lock meanwhile, the ambiguities before and after differ
+//! by −½, 0 or ½ cycle. The other phases show which step it is, and the new arc continues the
+//! ambiguity of the old one.
 
 use super::slips::SLIP_SIGMAS;
 
@@ -12,7 +13,8 @@ use super::slips::SLIP_SIGMAS;
 /// variance (cycles²): −½, 0 or ½ cycle; `None` if the estimates fit none of them, or if the
 /// probability of the best one is below `probability_min`.
 ///
-/// P = e^(−(d − k)²/2σ²) / Σ e^(−(d − k′)²/2σ²) over the three steps, equal before the data.
+/// P = e^(−(d − k)²/2σ²) / Σ e^(−(d − k′)²/2σ²) over the three steps, which are equally likely a
+/// priori.
 pub(crate) fn half_cycle_step(difference: f64, variance: f64, probability_min: f64) -> Option<f64> {
     let density = |step: f64| (-0.5 * (difference - step).powi(2) / variance).exp();
     let steps = [-0.5, 0.0, 0.5];
@@ -37,8 +39,8 @@ mod tests {
         assert_eq!(half_cycle_step(0.3, 0.01, 0.93), None);
     }
 
-    /// With σ = 0.05 a step of 0.8 cycles is 6σ from ½: the carrier slipped. With σ = 0.5 nothing is
-    /// certain, and with an invalid variance neither.
+    /// With σ = 0.05 a step of 0.8 cycles is 6σ from ½: the carrier slipped. No step is certain
+    /// with σ = 0.5, nor with an invalid variance.
     #[test]
     fn slips_and_uncertain_steps_are_none() {
         assert_eq!(half_cycle_step(0.8, 0.0025, 0.997), None);

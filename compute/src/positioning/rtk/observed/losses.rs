@@ -24,13 +24,14 @@ impl Losses {
     }
 }
 
-/// What one receiver's flags are worth, and the carriers it has tracked.
+/// Whether one receiver reports losses of lock, and which carriers it tracked in its last epoch.
 ///
-/// A flag that is not set means "OK or not known" (RINEX 2 and 3, loss of lock indicator). So until
-/// a receiver has set one, a carrier without a phase in its last epoch may have slipped.
+/// An indicator that is not set means "OK or not known" (RINEX 2 and 3, loss of lock indicator). So
+/// until a receiver has reported a loss, a carrier without a phase in the last epoch may have
+/// slipped.
 #[derive(Debug, Default)]
 pub(crate) struct LockWatch {
-    /// Whether it has ever reported a loss.
+    /// Whether the receiver has ever reported a loss.
     reports: bool,
     /// Carriers with a phase in its last epoch.
     tracked: Vec<Tracked>,

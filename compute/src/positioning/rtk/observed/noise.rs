@@ -5,22 +5,22 @@ use crate::snapshot::snapshot_fields;
 
 /// Length of the running mean (epochs).
 const NOISE_EPOCHS: f64 = 20.0;
-/// Weight of the a-priori noise in it (epochs).
+/// Weight of the a-priori noise in the running mean (epochs).
 const NOISE_PRIOR_EPOCHS: f64 = 2.0;
 /// Bounds of the learnt noise factor, so that few satellites or multipath cannot drive it.
 const NOISE_SCALES: std::ops::RangeInclusive<f64> = 0.1..=4.0;
-/// A normal variable's standard deviation over its median magnitude.
+/// Standard deviation of a normal variable, divided by its median magnitude.
 const NORMAL_OVER_MEDIAN: f64 = 1.482_6;
 
 /// Lower bound of ν, the degrees of freedom of the noise scale.
 pub(crate) const FREEDOM_LEAST: f64 = 4.0;
 /// Upper bound of ν.
 const FREEDOM_MOST: f64 = 64.0;
-/// Excess variance before any epoch: about that of the lower bound of ν.
+/// Excess variance before any epoch: ν = 5, near its lower bound.
 const EXCESS_PRIOR: f64 = 2.0;
-/// Weight of that in the running mean (epochs).
+/// Weight of the a-priori mean and excess variance in their running means (epochs).
 const EXCESS_PRIOR_EPOCHS: f64 = 5.0;
-/// Epochs with fewer degrees of freedom do not update the scale.
+/// Epochs with fewer redundant residuals do not update the scale.
 const LEFT_LEAST: f64 = 3.0;
 
 /// The whitened residuals of a solution.
@@ -47,18 +47,19 @@ pub(crate) struct KnownNoise {
 
 /// Ratio of observed to a-priori standard deviation, and its variance over time.
 ///
-/// Receivers differ by a factor of five for the same C/N0. m = 1.4826·median∣s∣, s the whitened
-/// residuals of all groups, widened for the parameters they have determined. The square of the
+/// Receivers differ by a factor of five at the same C/N0. m = 1.4826·median∣s∣, with s the whitened
+/// residuals of all groups, scaled up for the parameters that they determined. The square of the
 /// scale is a running mean of m² that starts at one.
 ///
-/// Its uncertainty is estimated too. s², the mean square over its degrees of freedom k, has
-/// variance 2/k about one if the scale is right, and more if the scale varies or residuals have
-/// tails. An inverse chi-square scale of ν degrees of freedom has an excess of 2/(ν − 4).
+/// The uncertainty of the scale is estimated too. s² is the mean square over its degrees of freedom
+/// k. It has the variance 2/k about one if the scale is right, and a larger one if the scale varies
+/// or residuals have heavy tails. An inverse chi-square scale of ν degrees of freedom has an excess
+/// of 2/(ν − 4).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NoiseScale {
     /// The factor.
     pub(crate) value: f64,
-    /// Epochs it was learnt from.
+    /// Number of epochs it was learnt from, at most [`NOISE_EPOCHS`].
     learnt: f64,
     /// Mean of s².
     mean: f64,
@@ -77,8 +78,9 @@ impl NoiseScale {
     /// Divisor of the odds of integers. Noise above the a-priori noise comes from multipath, whose
     /// errors are neither normal nor independent from epoch to epoch.
     ///
-    /// The power is fitted in the simulated canyon: of fixes with a stated probability of 80 to 90,
-    /// 90 to 95 and 95 to 98 %, 38, 30 and 28 % are wrong without it, 21, 13 and 11 % with it.
+    /// The power was fitted in the simulated street canyon. Of fixes with a stated probability of
+    /// 80 to 90, 90 to 95 and 95 to 98 %, 38, 30 and 28 % are wrong without this divisor, 21, 13
+    /// and 11 % with it.
     fn odds_divisor(&self) -> f64 {
         self.value.powi(5).max(1.0)
     }
@@ -100,8 +102,9 @@ impl NoiseScale {
         }
     }
 
-    /// Factor on the covariance of a position by pseudoranges of this noise: residuals above the
-    /// a-priori noise, and ν/(ν − 2), the variance of a Student's t, since the scale is uncertain.
+    /// Factor on the covariance of a position from pseudoranges of this noise. It contains the mean
+    /// square of residuals above the a-priori noise, and ν/(ν − 2), the variance of a Student's t,
+    /// because the scale is uncertain.
     pub(crate) fn variance_factor(&self) -> f64 {
         let freedom = self.freedom();
         self.mean.max(1.0) * freedom / (freedom - 2.0)
@@ -110,7 +113,7 @@ impl NoiseScale {
     /// Probability that a horizontal error of this noise is within `radius` (m), given the largest
     /// variance along a horizontal direction if the learnt scale were right (m²).
     ///
-    /// P = 1 − (1 + R²/(νs²σ²))^(−ν/2), R the radius: two coordinates of a Student's t, since the
+    /// P = 1 − (1 + R²/(νs²σ²))^(−ν/2), R the radius: two coordinates of a Student's t, because the
     /// scale is uncertain. s² is the mean square of the residuals, at least one.
     ///
     /// Source: Kotz & Nadarajah (2004), *Multivariate t distributions and their applications*:
@@ -121,7 +124,7 @@ impl NoiseScale {
         1.0 - (1.0 + radius_m.powi(2) / scaled).powf(-0.5 * freedom)
     }
 
-    /// Learns from the residuals of one epoch, which have determined `determined` parameters.
+    /// Learns from the whitened residuals of one epoch, which determined `determined` parameters.
     pub(crate) fn learn(&mut self, residuals: &mut [f64], determined: f64) {
         let n = residuals.len();
         let left = n as f64 - determined;

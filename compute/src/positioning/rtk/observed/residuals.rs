@@ -8,7 +8,7 @@ use crate::positioning::setup::OFFSET_KERNEL;
 use super::epoch::{Group, RowScratch, RtkEpoch, State};
 use super::noise::Residuals;
 
-/// Whitened residuals of the rows of a group, whose offset is the one that fits best.
+/// Whitened residuals of the rows of a group, with the offset that fits best.
 pub(crate) fn whitened<'a>(
     rows: &'a [SharingRow<3>],
     kernel: &Kernel,
@@ -29,7 +29,8 @@ pub(crate) fn pseudorange_residuals(
     gather(epoch, state, groups, &[], |_| (), scratch)
 }
 
-/// The same for carrier phases. Their ambiguities are those of `border`, or what `fix` returns.
+/// The same for carrier phases with the ambiguities of `border`. `fix` may first change or drop the
+/// rows of a group.
 pub(crate) fn carrier_residuals(
     epoch: &RtkEpoch,
     state: &State,
@@ -64,10 +65,10 @@ fn gather<'a>(
     count
 }
 
-/// The pseudoranges' residuals of a solved window, with their degrees of freedom.
+/// Pseudorange residuals of a solved window, with their degrees of freedom.
 ///
-/// The pseudoranges have determined one offset for each group, and part of one position. Phases tie
-/// the epochs together, so that the newest position, with `covariance`, represents all of them.
+/// The pseudoranges have determined one offset for each group, and a part of one position. Phases
+/// tie the epochs together, so the newest position, with `covariance`, represents all of them.
 pub(crate) fn window_residuals(
     epochs: &[RtkEpoch],
     states: &[State],
@@ -91,8 +92,8 @@ pub(crate) fn window_residuals(
     Residuals { square, freedom: f64::max(freedom, 0.0) }
 }
 
-/// Sum over an epoch's pseudoranges of aᵀCa/σ² times a function `of` of the independent share;
-/// offsets eliminated.
+/// Sum over an epoch's pseudoranges of aᵀCa/σ², each times the function `of` of its independent
+/// share. Offsets are eliminated.
 pub(crate) fn leverage(
     epoch: &RtkEpoch,
     state: &State,

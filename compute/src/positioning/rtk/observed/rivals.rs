@@ -1,9 +1,9 @@
 //! Tests whether another position explains the differenced pseudoranges better.
 //!
 //! Phases propagate the error of a wrong start from epoch to epoch, and the prior of the
-//! marginalised epochs outweighs the pseudoranges that contradict it. As without a base, the
-//! residuals of the last half minute are tested for other positions ([`Watch`]). If one is clearly
-//! likelier, the solver starts again from there.
+//! marginalised epochs outweighs the pseudoranges that contradict this start. So the residuals of
+//! the last half minute are tested for other positions, as without a base ([`Watch`]). If another
+//! position is clearly likelier, the solver starts again from there.
 
 use nalgebra::Vector3;
 
@@ -83,7 +83,7 @@ impl PseudorangeWatch {
         None
     }
 
-    /// Adds the residuals of an epoch: of each satellite the one of its most exact pseudorange.
+    /// Adds the residuals of an epoch: for each satellite, that of its most precise pseudorange.
     fn take(&mut self, judged: &Judged<'_>, scratch: &mut RowScratch) {
         let Judged { epoch, state, differences, .. } = *judged;
         self.seen.retain(|seen| epoch.time - seen.time <= POOL_S);

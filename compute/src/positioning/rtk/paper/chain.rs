@@ -91,7 +91,7 @@ impl PaperChain {
     }
 }
 
-/// What is known of the first position: that of a single point.
+/// Prior of the first position: it has the accuracy of a single-point position.
 pub(crate) fn starting_prior() -> Prior<STATE> {
     let information = SMatrix::identity() * START_M.powi(-2);
     Prior::on_state(State::zeros(), information)

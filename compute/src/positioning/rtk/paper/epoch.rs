@@ -23,7 +23,7 @@ const KERNEL: Kernel = Kernel::huber(1.0);
 /// A difference of two receivers and two satellites, (15) and (16).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DoubleDifference {
-    /// Index of the satellite in [`PaperEpoch::sights`], and of the highest one of its signal.
+    /// Indices in [`PaperEpoch::sights`]: the satellite, and the highest one of its signal.
     pub(crate) sight: usize,
     pub(crate) reference: usize,
     /// Pseudorange, or carrier phase times λ (m).
@@ -99,7 +99,8 @@ impl PaperEpoch {
             double_differences(signal, group, differences, pseudorange, &mut ranges);
             double_differences(signal, group, differences, carrier, &mut phases);
         }
-        // Cycles of different lengths do not cancel: no integer is left.
+        // Ambiguities in cycles of different lengths do not cancel: their difference is not an
+        // integer.
         let has_one_length = |d: &DoubleDifference| d.wavelength_m.is_finite();
         phases.retain(has_one_length);
         Self { time, sights: sights.collect(), ranges, phases, tie: None }
@@ -184,7 +185,7 @@ pub(crate) fn doppler_velocity(
     Some((rotation * velocity.velocity_m_s, rotation * velocity.covariance * rotation.transpose()))
 }
 
-/// Epochs in order of time, with what is known of the first, as a problem of the solver.
+/// Epochs in order of time, with the prior of the first, as a problem of the solver.
 pub(crate) struct Rows<'a> {
     pub(crate) epochs: &'a [PaperEpoch],
     pub(crate) prior: &'a Prior<STATE>,

@@ -11,7 +11,7 @@ use super::epoch::{DoubleDifference, PaperEpoch, STATE, State};
 
 /// Candidates whose likelihoods make up the stated probability.
 const CANDIDATES: usize = 4;
-/// Most nodes of the search tree in one epoch.
+/// Largest number of nodes of the search tree in one epoch.
 const NODES_MAX: usize = 20_000;
 /// Number of ambiguities for which storage is reserved at first.
 const CAPACITY: usize = 32;
@@ -27,7 +27,7 @@ impl Default for PaperIntegers {
 }
 
 impl PaperIntegers {
-    /// The integers of the epoch whose position is this (m), with its covariance (m²), both local.
+    /// The integers of an epoch with this position (m) and its covariance (m²), both local.
     pub(crate) fn resolve(
         &mut self,
         epoch: &PaperEpoch,
@@ -81,7 +81,7 @@ impl PaperIntegers {
 }
 
 /// The position and the float ambiguities N = (z − h(p)) / λ, (22) and (23), with their covariance.
-/// The position knows nothing of the phases, so that their errors are independent.
+/// The phases have not determined the position, so their errors are independent of it.
 fn joint(epoch: &PaperEpoch, position: &State, covariance: &Matrix3<f64>) -> Joint {
     let (lines, phases) = (epoch.lines(position), &epoch.phases);
     let size = STATE + phases.len();

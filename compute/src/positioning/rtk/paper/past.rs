@@ -1,4 +1,4 @@
-//! Epochs that are answered again.
+//! Epochs that may be revised.
 
 use std::collections::VecDeque;
 
@@ -18,7 +18,7 @@ struct Record {
     solution: Solution,
     /// Whether it is or was in the graph, and is not revised yet.
     is_waiting: bool,
-    /// The epoch with its position, once it has left the graph, if it is kept for a batch.
+    /// In a batch, once the epoch has left the graph: the epoch with its position.
     left: Option<(PaperEpoch, State)>,
 }
 
@@ -59,7 +59,7 @@ impl PaperPast {
         }
     }
 
-    /// Keeps the oldest epoch in the graph, which leaves it.
+    /// Keeps the epoch that leaves the graph: that of the oldest record still in the graph.
     pub(crate) fn keep(&mut self, epoch: PaperEpoch, position: State) {
         let waiting = |record: &&mut Record| record.is_waiting && record.left.is_none();
         if let Some(record) = self.records.iter_mut().find(waiting) {
@@ -72,7 +72,7 @@ impl PaperPast {
         self.records.iter_mut().filter_map(|record| record.left.take()).unzip()
     }
 
-    /// Removes the answers before the first that is not revised.
+    /// Removes and returns the answers before the first one that is not revised.
     pub(crate) fn leave(&mut self) -> Vec<Solution> {
         let count = self.records.iter().take_while(|record| !record.is_waiting).count();
         self.records.drain(..count).map(|record| record.solution).collect()
@@ -83,13 +83,13 @@ impl PaperPast {
         self.records.front().map(|record| record.solution.time)
     }
 
-    /// Removes all answers.
+    /// Removes and returns all answers.
     pub(crate) fn leave_all(&mut self) -> Vec<Solution> {
         self.records.drain(..).map(|record| record.solution).collect()
     }
 }
 
-/// The answer with what is known now.
+/// The answer revised with what is known now.
 fn revised(
     solution: &Solution,
     known: &Known<'_>,

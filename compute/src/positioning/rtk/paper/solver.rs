@@ -1,4 +1,4 @@
-//! Solves each epoch with those before it, and answers them again as they leave.
+//! Solves each epoch together with those before it, and revises the epochs that leave the graph.
 
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -198,8 +198,8 @@ impl PaperChain {
         velocity
     }
 
-    /// Answers every epoch again that is not revised: with a batch from all epochs, else from those
-    /// in the graph. If they do not determine their positions, the answers stay.
+    /// Revises every epoch that is not revised yet. In a batch all epochs are solved together, else
+    /// those in the graph. If they do not determine their positions, the answers stay.
     fn revise_all(&self, setup: &Setup, past: &mut PaperPast, scratch: &mut PaperScratch) {
         let (mut epochs, states) = past.take_left();
         let prior = if epochs.is_empty() { self.prior.clone() } else { starting_prior() };

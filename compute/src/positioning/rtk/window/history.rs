@@ -30,7 +30,7 @@ pub(crate) struct History {
     revised: usize,
     /// Data for smoothing back, oldest first, one for each record that has left the graph.
     departures: VecDeque<Arc<Departure<STATE>>>,
-    /// Number of epochs in the graph whose last answer has been given.
+    /// Number of epochs in the graph whose final answer has been returned.
     answered_early: usize,
     integers: IntegerHistory,
 }

@@ -26,7 +26,7 @@ pub(crate) struct Revision<'a> {
 }
 
 impl<'a> Revision<'a> {
-    /// From the state at which the smoother is.
+    /// From the state that the smoother has reached.
     pub(crate) fn at(
         smoother: &Smoother<STATE>,
         frame: &'a LocalFrame,
@@ -105,7 +105,8 @@ impl<'a> Revision<'a> {
         solution
     }
 
-    /// Without integers an answer of the companion stays: it is mostly ten times as exact.
+    /// The answer without integers. An answer of the companion stays, as it is mostly ten times as
+    /// accurate.
     fn float(&self, record: &EpochRecord) -> Solution {
         if is_by_companion(&record.solution) {
             return record.solution.clone();

@@ -175,9 +175,9 @@ impl RelativeSolver for Chain {
 impl Chain {
     /// Whether the oldest epoch leaves.
     ///
-    /// Without integers the last `window_s` are weighted again with each epoch, since the epochs
-    /// together tell which pseudoranges are reflected. Integers tell the position to a centimetre,
-    /// so then there is nothing left to weigh.
+    /// Without integers the epochs of the last `window_s` are weighted again with each new epoch,
+    /// because only together do they show which pseudoranges are reflected. With integers the
+    /// position is known to a centimetre, so older epochs need no new weights.
     fn is_too_long(&self, options: &PositioningOptions) -> bool {
         let ([oldest, .., newest], count) = (self.epochs.as_slice(), self.epochs.len()) else {
             return false;
@@ -211,8 +211,8 @@ impl Chain {
     }
 
     /// Ties the ambiguities of arcs that began because a half cycle was resolved to those of the
-    /// arcs before, if the solved epoch tells by which step they differ. From the next solve on
-    /// they are tied, and the phase has the weight of one that continues an arc.
+    /// arcs before, if the solved epoch shows by which step they differ. The tie acts from the next
+    /// solve on. The phase then has the weight of one that continues an arc.
     fn continue_half_cycles(&mut self, covariances: &Covariances<STATE>, options: &RtkOptions) {
         let Self { epochs, estimate, tracking, .. } = self;
         let Some(epoch) = epochs.last_mut() else { return };
