@@ -1,9 +1,10 @@
 //! The whole chain at once: all epochs first, then all answers.
 //!
-//! The mixture has many minima, and noise and clocks of the receiver must be known before its
-//! epochs can be weighted. Both come from a sliding window that is run over the epochs first: each
-//! epoch has the receiver model that the window had learnt before it, and the chain is solved from
-//! the states with which epochs left the window. Other kernels are annealed from single points.
+//! The mixture kernel has many minima, and the noise and clocks of the receiver must be known
+//! before the epochs can be weighted. Both come from a sliding window that runs over the epochs
+//! first. Each epoch uses the receiver model that the window had learnt before it. The chain is
+//! solved from the last state of each epoch in the window. Other kernels are annealed, starting
+//! from single-point positions.
 
 use std::collections::BTreeMap;
 

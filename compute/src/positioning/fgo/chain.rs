@@ -149,7 +149,8 @@ impl Chain {
         self.is_proven = false;
     }
 
-    /// The position of the only epoch is known to these standard deviations (m, east, north, up).
+    /// Sets the prior of the first epoch's position to these standard deviations (m, east, north,
+    /// up). The chain then counts as settled and its start as proven.
     pub(super) fn know_position(&mut self, sigma_m: &Vector3<f64>) {
         let Some(first) = self.epochs.first_mut() else { return };
         let components = &mut Arc::make_mut(&mut first.factors).components;
@@ -173,7 +174,7 @@ impl Chain {
         next
     }
 
-    /// Adds an epoch with the initial state `guess`, where the measurements were modelled.
+    /// Adds an epoch with the initial state `guess`, at which the measurements were modelled.
     ///
     /// The clock of the guess, and the biases of constellations that the chain has not had before,
     /// are set from the medians of the pseudorange residuals.
@@ -285,7 +286,7 @@ impl Chain {
         (spacing_s / options.correlation_s).min(share)
     }
 
-    /// Adds the factor of the odometry's displacement, if this covers the interval.
+    /// Adds the factor of the odometry's displacement, if the displacement covers the interval.
     fn add_odometry(
         &self,
         factors: &mut Factors,
@@ -401,8 +402,8 @@ impl Chain {
 
     /// Age of the chain at `time` (s), if its start is not proven yet.
     ///
-    /// With few satellites or mostly reflections a redescending kernel may settle on the wrong
-    /// ones, and later epochs agree with the prior that these leave.
+    /// With few satellites or mostly reflections, a redescending kernel may accept the wrong
+    /// pseudoranges. Later epochs then agree with the prior that these leave.
     pub(super) fn unproven_s(&self, time: GpsTime) -> Option<f64> {
         (!self.is_proven).then(|| time - self.started)
     }

@@ -29,7 +29,7 @@ const ODOMETRY_KERNEL: Kernel = Kernel::huber(HUBER_WIDTH);
 const CLOCK_INDEX: usize = 3;
 /// Iterations of reweighted least squares for the step of the phase clock.
 const CLOCK_ITERATIONS: usize = 5;
-/// The last of them is shorter than this (standard deviations of the step).
+/// The iterations end at a change of the step below this (standard deviations of the step).
 const CLOCK_TOLERANCE: f64 = 1e-3;
 
 /// What links an epoch to the previous one, besides carrier phase.
@@ -57,8 +57,8 @@ pub(super) struct Seen {
     /// Lines of sight, from the epoch's state.
     pub(super) lines: Vec<Line>,
     /// Weight of each satellite's phase: the probability that its pseudorange is direct. The phase
-    /// of a reflection is as precise as a direct one but follows the reflected path; several
-    /// reflections can agree with one another and not with the receiver's motion.
+    /// of a reflected signal is as precise as that of a direct one, but follows the reflected path.
+    /// Several reflections can agree with one another and not with the receiver's motion.
     phase_weights: Vec<f64>,
     phases: Vec<SeenPhase>,
     numbers: Vec<f64>,
@@ -70,7 +70,7 @@ struct SeenPhase {
     link: Link<4, 4>,
     /// 1/σ (1/m).
     inverse_sigma: f64,
-    /// Its weight.
+    /// Its weight: the probability that the signal is direct.
     direct: f64,
 }
 
@@ -80,7 +80,7 @@ pub(super) struct GraphEpoch {
     pub(super) time: GpsTime,
     /// Fraction of their information that pseudoranges keep, because errors are correlated in time.
     pub(super) share: f64,
-    /// Number of epochs that have the same error, beyond what `share` states.
+    /// Number of epochs that have the same error, beyond what `share` accounts for.
     pub(super) repetition: f64,
     /// Residuals of its pseudoranges in the last solve.
     pub(super) residuals: Residuals,

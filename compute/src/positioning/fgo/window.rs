@@ -159,7 +159,7 @@ impl SlidingWindow {
         self.chain.clear();
     }
 
-    /// Takes the chain as settled at `now`: other positions are not searched for.
+    /// Marks the chain as settled at `now`: no search for other positions follows.
     pub(crate) fn settle(&mut self, now: GpsTime) {
         self.chain.watch.settle(now);
     }
@@ -255,8 +255,9 @@ impl SlidingWindow {
         alone
     }
 
-    /// Number of oldest epochs that leave, now that the newest is solved. The window with the next
-    /// epoch, which is expected after the last interval, then has its length.
+    /// Number of oldest epochs that leave, now that the newest is solved. The next epoch is
+    /// expected after the same interval as the last one; with it the window has its full length
+    /// again.
     fn leaving(&self, setup: &Setup) -> usize {
         let options = &setup.options.graph;
         let [.., before, newest] = self.chain.epochs.as_slice() else { return 0 };

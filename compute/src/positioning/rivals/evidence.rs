@@ -1,4 +1,4 @@
-//! What pooled residuals say of a hypothesis: its cost, and how to minimise it (see
+//! The cost of a hypothesis given pooled residuals, and its minimisation (see
 //! [`hypotheses`](super::hypotheses)).
 
 use std::ops::Range;
@@ -15,16 +15,17 @@ pub(super) const UNKNOWNS: usize = 3 + Constellation::COUNT;
 pub(super) type Unknowns = SVector<f64, UNKNOWNS>;
 pub(super) type Normal = SMatrix<f64, UNKNOWNS, UNKNOWNS>;
 
-/// Most iterations of a refinement, and the length of a step that ends it (m).
+/// Largest number of iterations of a refinement, and the length of a step that ends it (m).
 const ITERATIONS_MAX: usize = 12;
 const LAST_STEP_M: f64 = 0.3;
 /// Longest step (m): farther away the quadratic approximation of the cost is invalid.
 const STEP_MAX_M: f64 = 30.0;
-/// Cost of the prior's noise: odds of 20 : 1 that what was learnt about the receiver holds (nats).
+/// Cost of the noise before learning (nats): odds of 20 : 1 that the learnt noise is right.
 const UNLEARNT_COST: f64 = 3.0;
 /// Scale of T (m).
 const SETTLED_M: f64 = 10.0;
-/// Residuals of one logarithm. No density is below 0.02/400 m, so their product is at least 10⁻⁵².
+/// Number of residuals whose densities are multiplied before the logarithm. No density is below
+/// 0.02/400 m, so their product is at least 10⁻⁵².
 const OF_ONE_LOGARITHM: usize = 12;
 
 /// The residual of one satellite over a few seconds: a term of the cost.
@@ -45,7 +46,7 @@ pub(crate) struct Pooled {
 snapshot_fields!(Pooled { satellite, slope, residual_m, error, before_learning, independent });
 
 impl Pooled {
-    /// What the offset `x` leaves of it (m).
+    /// The residual that is left after the offset `x` (m).
     pub(super) fn left_m(&self, x: &Unknowns) -> f64 {
         let along_m = self.slope.x * x[0] + self.slope.y * x[1] + self.slope.z * x[2];
         self.residual_m - along_m - x[3 + self.satellite.constellation.index()]
@@ -87,7 +88,7 @@ impl Offset {
         self.x[3 + constellation.index()]
     }
 
-    /// Whether it holds with the noise before anything was learnt about the receiver.
+    /// Whether its noise is that before anything was learnt about the receiver.
     pub(crate) fn is_before_learning(&self) -> bool {
         self.noise == Noise::BeforeLearning
     }
@@ -107,7 +108,7 @@ struct Terms {
     of: Range<usize>,
     /// κ.
     independent: f64,
-    /// Σ κ·J without residuals.
+    /// Σ κ·J if all residuals are zero.
     least: f64,
 }
 
@@ -175,7 +176,7 @@ impl<'a> Evidence<'a> {
         self.offset(x)
     }
 
-    /// The same, as long as all positions on the way are `accepted`.
+    /// The same; `None` if a position on the way is not `accepted`.
     pub(super) fn refine_while(
         &self,
         offset: Offset,

@@ -7,8 +7,9 @@
 //! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
 //!
 //! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds. The
-//!   noise is either what was learnt about the receiver, or its prior, which costs 3 more: from a
-//!   wrong position, direct signals look like reflections, and what is learnt there confirms it.
+//!   noise is either the learnt one, or the one before learning, which costs 3 more. The latter is
+//!   needed because from a wrong position direct signals look like reflections, and the noise that
+//!   was learnt there confirms that position.
 //! - κ: independent fraction of these terms' information; smaller at rest, where multipath repeats.
 //! - β: standard deviation of the graph's inter-system biases; infinite while they are unknown.
 //! - T: −ln of Student's t density with three degrees of freedom and a scale of 10 m. It penalises
@@ -28,10 +29,10 @@ use crate::positioning::draws::{Draws, subsets_needed};
 
 use super::evidence::{Evidence, Knowledge, Noise, Normal, Offset, Pooled, UNKNOWNS, Unknowns};
 
-/// Most subsets drawn. If half of the satellites are direct, at least one subset of four is all
-/// direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
+/// Largest number of subsets drawn. If half of the satellites are direct, at least one subset of
+/// four is all direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
 const SUBSETS_MAX: usize = 40;
-/// Most draws of a satellite for one subset.
+/// Largest number of draws of a satellite for one subset.
 const DRAWS_MAX: usize = 60;
 /// Number of candidates that are refined.
 const REFINED: usize = 2;
@@ -74,7 +75,7 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u
     let by_learnt = learnt.stands();
     let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
     let other = has_learnt.then(|| Evidence::new(pool, Noise::BeforeLearning, knowledge));
-    // One whose every cost is higher neither excuses the trajectory nor has a rival.
+    // If each of its costs is higher, it neither lowers the trajectory's cost nor gives a rival.
     let other = other.filter(|other| least.min(0.0) <= by_learnt.cost() - other.least_cost());
     let least_cost = other.iter().map(Evidence::least_cost).fold(learnt.least_cost(), f64::min);
     if by_learnt.cost() - least_cost < least {
@@ -93,10 +94,10 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u
     }
 }
 
-/// The likeliest distinct position, given the clocks that fit the trajectory best.
+/// The likeliest position that is distinct from `stands`, the trajectory with its best clocks.
 fn best_elsewhere(evidence: &Evidence<'_>, stands: &Offset, seed: u64) -> Option<Offset> {
     let from_subsets = Search::new(evidence, seed).candidates().into_iter();
-    // A candidate that comes near the trajectory would end where the start at the trajectory does.
+    // A candidate that comes near the trajectory would converge to the same position as `near`.
     let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_distinct));
     let near = [evidence.refine(stands)];
     let elsewhere = far.chain(near).filter(|offset| are_distinct(&offset.position_m()));
@@ -140,7 +141,8 @@ impl<'a> Search<'a> {
             squares += direct * direct;
             directs.push(sum);
         }
-        // Signals are drawn by this probability, so a drawn one is direct with its weighted mean.
+        // Signals are drawn with their probability of being direct. So the probability that a drawn
+        // signal is direct is the mean of these probabilities, weighted with themselves.
         let needed = subsets_needed(squares / sum, 3 + clocks(evidence));
         let subsets = (needed.ceil() as usize).clamp(1, SUBSETS_MAX);
         let (subset, own_m) = (Vec::with_capacity(UNKNOWNS), Vec::with_capacity(count));
@@ -332,8 +334,9 @@ mod tests {
         assert!((odds(0.0) - odds(1.0) - 5.13).abs() < 0.3, "{} {}", odds(0.0), odds(1.0));
     }
 
-    /// From a height that is 40 m wrong all signals seem reflected. Noise that was learnt there makes
-    /// the truth no likelier; by the prior's noise the truth has odds, less the cost of the prior.
+    /// From a height that is 40 m wrong all signals seem reflected. With the noise that was learnt
+    /// there, the truth is not likelier. With the noise before learning it is, by its odds less the
+    /// cost of that noise.
     #[test]
     fn noise_learnt_at_a_wrong_position_is_doubted() {
         let off = Vector3::new(3.0, -4.0, -40.0);

@@ -28,9 +28,9 @@ const OUTAGE_S: f64 = 10.0;
 const FILLING_S: f64 = 3.0 * POOL_S;
 /// Time from then on until the position counts as settled (s).
 const SETTLING_S: f64 = 30.0;
-/// Number of independent errors of a satellite in one pool, of three whose errors have the
-/// correlation 1/e: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946). Multipath that is nearly constant in
-/// a pool does not end with it.
+/// Number of independent errors of a satellite in one pool, if the errors of successive pools have
+/// the correlation 1/e and there are three pools: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946).
+/// Multipath that is nearly constant in a pool does not end with it.
 const OF_ONE_POOL: f64 = 0.633;
 /// Log odds above which the window moves: at a start, and from a settled position (nats).
 const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);
@@ -105,8 +105,8 @@ impl Watch {
     }
 
     /// Judges the position by the earlier pools and by the window's residuals, pooled over
-    /// [`Self::unpooled_s`]. `unproven_s` is the time that it has waited for a proof; where it is
-    /// `None`, only a position to move to is searched for.
+    /// [`Self::unpooled_s`]. `unproven_s` is the age of a start that is not proven yet. If it is
+    /// `None`, the search is only for a position to move to.
     pub(crate) fn judge(
         &mut self,
         now: GpsTime,
