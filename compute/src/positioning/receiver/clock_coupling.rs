@@ -32,7 +32,7 @@ const SATELLITES_MIN: usize = 4;
 const INTERVAL_MAX_S: f64 = 5.0;
 /// Number of epochs after which the drift is robust against single steps.
 const DRIFT_EPOCHS: f64 = 10.0;
-/// Variance of a median of values with few digits (m²).
+/// Variance of the median because values are reported with few digits (m²).
 const READING_M2: f64 = 0.01;
 
 /// The drift of one clock against another, and the scale of its steps.

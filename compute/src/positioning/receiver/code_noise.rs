@@ -12,9 +12,9 @@
 //! residuals, each weighted by its independent share. The floor of 1 m is multipath of a strong
 //! signal with orbit and clock errors; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
 //! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
-//! receiver (docs/estimation.md). i is the standard deviation of the ionosphere's model beyond the
-//! smallest one of the epoch, since a common error goes into the clock, and of a group delay that
-//! the message does not state.
+//! receiver (docs/estimation.md). i is a standard deviation of two parts. One is that of the
+//! ionosphere's model beyond the smallest one of the epoch, because a common error goes into the
+//! clock. The other is that of a group delay that the message does not contain.
 
 use std::f64::consts::LN_10;
 
@@ -183,7 +183,7 @@ fn means(likelihoods: &[[f64; VALUES]; Constellation::COUNT]) -> [f64; Constella
     })
 }
 
-/// Chance of reflection by the prior of S₀ alone.
+/// Probability of reflection by the prior of S₀ alone.
 ///
 /// The mean over S₀ = 32 ± 6 dB-Hz of the logistic function of width 3 dB is, within 0.011, one of
 /// width 3·√(1 + π/8·(6/3)²) dB: both are nearly normal distribution functions, whose variances
@@ -296,9 +296,9 @@ mod tests {
         assert!(level(0.5) < 26.0 && 36.0 < level(30.0), "{} {}", level(0.5), level(30.0));
     }
 
-    /// Galileo's residuals say 36 ± 3 dB-Hz. The prior of each level is 32 ± √(6² + 3²) dB-Hz, with a
-    /// correlation of 6²/(6² + 3²) = 0.8: Galileo moves by 4·45/(45 + 9) = 3.33 dB, the others by 0.8
-    /// of that.
+    /// Galileo's residuals give 36 ± 3 dB-Hz. The prior of each level is 32 ± √(6² + 3²) dB-Hz,
+    /// with a correlation of 6²/(6² + 3²) = 0.8. Galileo moves by 4·45/(45 + 9) = 3.33 dB, the
+    /// others by 0.8 of that.
     #[test]
     fn a_constellation_without_residuals_follows_the_others() {
         let mut likelihoods = [[1.0; VALUES]; Constellation::COUNT];
@@ -310,8 +310,8 @@ mod tests {
         }
     }
 
-    /// Without residuals all levels are near the prior's mean; the grid's lower end, which is nearer
-    /// than the upper one, cuts off more.
+    /// Without residuals all levels are near the prior's mean. The grid's lower end is nearer than
+    /// the upper one and cuts off more.
     #[test]
     fn no_evidence_leaves_the_prior() {
         let uniform = [[1.0; VALUES]; Constellation::COUNT];

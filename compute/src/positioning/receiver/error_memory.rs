@@ -7,9 +7,9 @@
 //! of epochs.
 //!
 //! r is estimated from products of whitened residuals of the same satellite in successive epochs.
-//! Its start and upper bound is that of multipath of a vehicle in a street, five seconds. The bound
-//! is needed because residuals also contain the slow errors of the estimate itself, which must not
-//! increase the weight of the pseudoranges.
+//! Its start and upper bound is the correlation of multipath of a vehicle in a street, with a
+//! correlation time of five seconds. The bound is needed because residuals also contain the slow
+//! errors of the estimate itself, which must not increase the weight of the pseudoranges.
 
 use crate::gnss::SatelliteId;
 use crate::snapshot::snapshot_fields;

@@ -9,7 +9,7 @@
 //! | part | learns | from |
 //! |---|---|---|
 //! | [`CodeNoise`] | C/N0 at which half the signals are reflected | pseudorange residuals |
-//! | [`NoiseScale`] | factor on the stated noise of Doppler, of phase | their residuals |
+//! | [`NoiseScale`] | factor on the stated noise of Doppler and of phase | their residuals |
 //! | [`ErrorMemory`] | how long pseudorange errors last | pseudorange residuals |
 //! | [`ClockCoupling`] | how clocks move apart | code minus phase, code minus Doppler |
 //! | [`VerticalSpeed`] | how fast the receiver climbs and sinks | the estimate itself |
