@@ -33,7 +33,8 @@ use super::rows::Rows;
 const BIAS_M: f64 = 300.0;
 /// Least standard deviation of a phase difference (m): a quarter wavelength at L1, the bound of
 /// multipath from a reflection no stronger than the signal. The filter has no kernel for phases,
-/// and its test accepts the first rows: with 0.01 m, `hers-hert` has errors of up to 26 m.
+/// and its innovation test accepts the rows that come first, right or wrong. With 0.01 m the data
+/// set `hers-hert` has errors of up to 26 m.
 const PHASE_BOUND_M: f64 = 0.05;
 
 /// State of the filter between epochs.
@@ -45,7 +46,7 @@ struct Known {
     /// Constellations whose bias has begun.
     begun: [bool; Constellation::COUNT],
     phases: Phases,
-    /// Ephemerides of those phases.
+    /// Ephemerides of the satellites of `phases`.
     issues: Vec<EphemerisIssue>,
     standstill: Standstill,
     /// For how long most pseudoranges have failed the test (s).
@@ -57,7 +58,7 @@ state_fields!(Known { time, frame, gaussian, begun, phases, issues, standstill, 
 /// A causal estimator that keeps one state.
 #[derive(Debug)]
 pub(crate) struct KalmanFilter {
-    /// None before the first position.
+    /// `None` before the first position.
     known: Option<Known>,
 }
 
@@ -241,8 +242,8 @@ impl FilterScratch {
         self.rows.ranges.extend(all.iter().filter(is_used));
         self.rows.enter(&mut known.gaussian, &[], limit, 1.0, &options.graph);
         self.rows.ranges = all;
-        // At least as wide as the covariance of the single point, which includes the fit of its
-        // residuals.
+        // The covariance is at least that of the single point, which takes the size of the
+        // residuals into account.
         let own = known.gaussian.state_covariance().fixed_view::<3, 3>(0, 0).trace();
         known.gaussian.scale((estimate.covariance.trace() / own).max(1.0));
         let solution = self.finish(inputs, &mut known, options.graph.independence_s);
@@ -276,11 +277,11 @@ impl FilterScratch {
         Some(())
     }
 
-    /// Starts clocks, and adjusts the receiver clock after jumps, by the medians of the
-    /// pseudoranges.
+    /// Starts clocks, and adjusts the receiver clock after jumps, by the medians of the pseudorange
+    /// residuals.
     ///
-    /// Without an interval all clocks start; without a motion model the receiver's starts at every
-    /// epoch.
+    /// Without an interval all clocks start. Without a motion model the receiver clock starts at
+    /// every epoch.
     fn settle_clock(&mut self, known: &mut Known, interval_s: Option<f64>, graph: &GraphOptions) {
         let state = known.gaussian.state();
         self.rows.see(&state);

@@ -21,7 +21,7 @@ impl SinglePoint {
     ) -> Result<SolutionEstimate, Reason> {
         let position = fit.position();
         let dops = self.dops(frame).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
-        // If clocks are tied and the satellites agree, the covariance shows a weak geometry.
+        // If clocks are tied and there is a residual test, the covariance shows a weak geometry.
         let agrees = fit.step.is_tied() && fit.test_ratio.is_some();
         if options.gdop_limit < dops.gdop && !agrees {
             return Err(Reason::GeometryTooWeak { gdop: dops.gdop });
@@ -57,7 +57,7 @@ impl SinglePoint {
         satellites
     }
 
-    /// Ephemerides of these satellites, in the same order.
+    /// Ephemerides of the satellites of the rows in use, in the order of [`Self::satellites_used`].
     pub(super) fn provenance(&self) -> Provenance {
         let used = self.rows.iter().filter(|row| row.is_used);
         let mut ephemerides: Vec<_> =

@@ -45,7 +45,7 @@ const CHANGES_MAX: usize = 8;
 /// Scratch of the search.
 #[derive(Debug, Default)]
 pub(super) struct Search {
-    /// The clocks of the epoch's constellations by earlier epochs, if they are known.
+    /// The clocks of the epoch's constellations, if they are known from earlier epochs.
     pub(super) known: Option<[Tie; Constellation::COUNT]>,
     order: Vec<usize>,
     subset: Vec<Row>,
@@ -122,8 +122,8 @@ impl Miss {
 }
 
 impl SinglePoint {
-    /// Whether the error of a satellite, r/(1 − w·aᵀQa) if it alone is wrong, is larger than
-    /// multipath can cause.
+    /// Whether the error of some satellite is larger than multipath can cause. If that satellite
+    /// alone is wrong, its error is r/(1 − w·aᵀQa).
     pub(super) fn has_wild(&self, step: &Step) -> bool {
         self.rows.iter().filter(|row| row.is_used).any(|row| {
             WILD_M * step.redundancy(row).max(REDUNDANCY_MIN) < step.residual_after_m(row).abs()
@@ -150,7 +150,7 @@ impl SinglePoint {
         Err(Reason::NotConverged)
     }
 
-    /// The position of the subset that most satellites agree with.
+    /// The position of the subset with the lowest cost, refined.
     fn likeliest(&mut self, inputs: &EpochInputs<'_>) -> Option<Ecef> {
         let mut draws = Draws::new(inputs.epoch.time.as_ns() as u64);
         let mut best: Option<Candidate> = None;
@@ -192,8 +192,8 @@ impl SinglePoint {
         None
     }
 
-    /// The candidate after steps with all satellites, with the weights of the cost: a subset's
-    /// position is as uncertain as its geometry is weak (Chum, Matas & Kittler 2003, *Locally
+    /// Improves a candidate by steps with all satellites, weighted as in the cost. A subset's
+    /// geometry may be weak and its position uncertain (Chum, Matas & Kittler 2003, *Locally
     /// optimized RANSAC*).
     fn refined(&mut self, begin: Candidate) -> Candidate {
         let mut best = begin;

@@ -19,8 +19,8 @@ use super::{EpochInputs, Fit, LAST_STEP_M, SinglePoint};
 /// Smallest fraction of an error that its residual must show; a satellite with less cannot be
 /// tested.
 pub(super) const REDUNDANCY_MIN: f64 = 1e-6;
-/// Degrees of freedom that must remain after an exclusion. With fewer, some subset of satellites
-/// that share a reflection can always be found to agree.
+/// Degrees of freedom that must remain after an exclusion. With fewer, a subset that agrees can
+/// always be found among satellites that share a reflection.
 const DEGREES_LEFT_MIN: usize = 3;
 /// Huber's constant for late signals (residual negative): 95 % efficiency under normal errors.
 const HUBER_LATE: f64 = HUBER_WIDTH;

@@ -386,7 +386,7 @@ mod tests {
         assert!((step.squares(&rows) - squares).abs() < 1e-9);
     }
 
-    /// Gain and redundancy against what a changed residual changes, with free and tied clocks.
+    /// Gain and redundancy are the effects of a changed residual, with free and tied clocks.
     #[test]
     fn gain_and_redundancy_are_derivatives() {
         let rows = rows();

@@ -78,10 +78,11 @@ struct Answered {
     protection: Option<Protection>,
 }
 
-/// Number of satellites that always give a position, however uncertain.
+/// From this number of satellites on, a position is always given, however uncertain.
 const SUFFICIENT: usize = 5;
 
-/// Whether the position of four satellites is useless: its standard deviation is above a kilometre.
+/// Whether a position from fewer than [`SUFFICIENT`] satellites is useless: its standard deviation
+/// is above a kilometre.
 fn is_lost(Answered { estimate, .. }: &Answered) -> bool {
     estimate.satellites_used.len() < SUFFICIENT && LOST_M * LOST_M < estimate.covariance.trace()
 }
@@ -264,7 +265,7 @@ impl SinglePoint {
         let mut counts = [0_usize; Constellation::COUNT];
         self.rows.iter().for_each(|row| counts[row.constellation.index()] += 1);
         if let Some(ties) = &self.ties {
-            // As below, but with a known clock.
+            // As below; a clock that is known from earlier epochs needs one satellite only.
             let determines = |c: Constellation| 1 < counts[c.index()] || ties[c.index()].is_known;
             self.rows.iter_mut().for_each(|row| row.is_used = determines(row.constellation));
             let used = self.rows.iter().filter(|row| row.is_used).count();

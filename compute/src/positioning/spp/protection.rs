@@ -11,7 +11,8 @@
 //!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, with f ≥ 1 the ratio of
 //!   the residuals to their expectation;
 //! - satellite i alone is wrong, with probability ε: |p − p₋ᵢ| + k(P/(2nε))·σ₋ᵢ, with p₋ᵢ and Σ₋ᵢ
-//!   the solution without it; if others cannot replace it, |S_i|·W + k(P/(2nε))·σ₀.
+//!   the solution without it, or |S_i|·W + k(P/(2nε))·σ₀ if that is smaller or the others cannot
+//!   replace satellite i.
 //!
 //! The level is the largest of these, each with its part of the risk P. π, λ and ε are those of the
 //! pseudoranges' likelihood; W is the largest error that multipath can cause.
@@ -27,8 +28,8 @@ use crate::positioning::receiver::reflected_before_learning;
 use super::exclusion::REDUNDANCY_MIN;
 use super::{Fit, SinglePoint};
 
-/// Least λ here (m), the width of a street: a level is a bound, and one epoch cannot tell how high
-/// the walls around it are.
+/// Least λ here (m), the width of a street: a level is a bound, and one epoch does not show how
+/// high the surrounding walls are.
 const STREET_M: f64 = 40.0;
 
 /// Influence of a row on the position.
