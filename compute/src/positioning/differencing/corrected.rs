@@ -6,9 +6,9 @@
 //!
 //! P = z + c_b,  c_b(t) = c_b(t − Δt) + median of the changes of the base's residuals
 //!
-//! The residual of the base, its pseudorange without range, satellite clock and troposphere, is its
-//! clock and the ionospheric delay, which differs between satellites. Only changes count, so that
-//! c_b makes no step when a satellite comes or goes.
+//! The residual of the base is its pseudorange without range, satellite clock and troposphere. It
+//! consists of the base's clock and the ionospheric delay, which differs between satellites. Only
+//! changes count, so that c_b makes no step when a satellite comes or goes.
 
 use crate::gnss::SatelliteId;
 use crate::positioning::measurements::CorrectedRanges;
@@ -78,8 +78,8 @@ mod tests {
     use crate::gnss::Constellation;
 
     /// Residuals of 10, 20 and 30 m: the clock starts at 20 m. All grow by 1 m and a satellite with
-    /// 100 m comes: 21 m. It stays when that one grows by 5 m and one goes. With other satellites
-    /// the clock starts again.
+    /// 100 m is added: 21 m. The clock stays when the residual of that satellite grows by 5 m and
+    /// another satellite is lost. With other satellites the clock starts again.
     #[test]
     fn a_satellite_that_comes_does_not_move_the_clock() {
         let satellite = |n| SatelliteId::new(Constellation::Gps, n).unwrap();

@@ -1,13 +1,14 @@
-//! How far each signal is below its own C/N0.
+//! How far the C/N0 of each signal is below the signal's own level.
 //!
-//! An obstacle at the edge of the direct path weakens a signal and bends its phase; a reflection in
-//! its place does the same. C/N0 alone does not show it: a low satellite is as weak without either.
-//! So C/N0 S enters the variances as S − α·max(0, Δ − 3 dB), where Δ is how far S is below the
-//! signal's own level and α = 2 (Brunner, Hartinger & Troyer 1999, *GPS signal diffraction
-//! modelling: the stochastic SIGMA-Δ model*, J. Geodesy 73, where the level is a template of C/N0
-//! by elevation). The level here is the greatest recent C/N0, which fades, and at least what is
-//! usual for the strongest satellites on that signal less 10 dB: the spread of antenna gain and
-//! path loss between zenith and horizon.
+//! An obstacle at the edge of the direct path weakens a signal and bends its phase. A reflection
+//! that is received instead of the direct signal does the same. C/N0 alone does not show this,
+//! because a low satellite is as weak without either. So C/N0 S enters the variances as
+//! S − α·max(0, Δ − 3 dB), where Δ is how far S is below the signal's own level and α = 2 (Brunner,
+//! Hartinger & Troyer 1999, *GPS signal diffraction modelling: the stochastic SIGMA-Δ model*, J.
+//! Geodesy 73, where the level is a template of C/N0 by elevation). The level here is the larger of
+//! two values. One is the greatest recent C/N0 of the signal, which fades. The other is the usual
+//! C/N0 of the strongest satellites on that signal minus 10 dB, the spread of antenna gain and path
+//! loss between zenith and horizon.
 
 use crate::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId};
 use crate::snapshot::{snapshot_fields, state_fields};
@@ -18,7 +19,7 @@ const WEIGHT: f64 = 2.0;
 const STEADY_DB: f64 = 3.0;
 /// How fast a level fades (dB/s): 4 dB a minute.
 const FADING_DB_S: f64 = 4.0 / 60.0;
-/// From the strongest satellites' C/N0 down to the least level of any (dB).
+/// The lowest level of a signal is this far below the strongest satellites' C/N0 (dB).
 const SPREAD_DB: f64 = 10.0;
 /// Steps of the running 95 % quantile (dB): up if an observation exceeds it, down if not.
 const QUANTILE_STEPS_DB: (f64, f64) = (0.19, 0.01);
@@ -91,7 +92,7 @@ impl SignalLevels {
         }
     }
 
-    /// The C/N0 that stands for an observation in its variance (dB-Hz); `None` without one.
+    /// The C/N0 to use in the variance of an observation (dB-Hz); `None` without C/N0.
     pub(crate) fn effective_db_hz(&self, observation: &Observation) -> Option<f64> {
         let db_hz = observation.cn0_db_hz?;
         let Observation { satellite, code, .. } = *observation;

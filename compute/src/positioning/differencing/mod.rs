@@ -75,16 +75,17 @@ pub(super) struct CommonSatellite {
     pub(super) ephemeris: EphemerisIssue,
     /// The rover's pseudorange without satellite clock and troposphere (m): ρ + c·δt_r + I.
     pub(super) rover_range_m: f64,
-    /// The same of the base, without its range ρ: c·δt_b + I.
+    /// The base's pseudorange corrected in the same way, without its range ρ (m): c·δt_b + I.
     pub(super) base_offset_m: f64,
 }
 
 /// Identifies the differences that have a common offset.
 ///
 /// Geostationary BeiDou satellites are a group of their own: their navigation messages are
-/// modulated differently, and receivers of different makers have half a cycle between their phases
-/// and the others' (Nadarajah, Teunissen & Raziq 2013, *BeiDou inter-satellite-type bias evaluation
-/// and calibration for mixed receiver attitude determination*, Sensors 13).
+/// modulated differently. With receivers of different makers their phases differ by half a cycle
+/// from those of the other satellites (Nadarajah, Teunissen & Raziq 2013, *BeiDou
+/// inter-satellite-type bias evaluation and calibration for mixed receiver attitude determination*,
+/// Sensors 13).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct DifferenceGroup {
     pub(super) constellation: Constellation,
@@ -216,8 +217,8 @@ impl SingleDifferences {
         self.base.dedup_by_key(|entry| entry.0);
     }
 
-    /// The differences of one satellite; none if either receiver has no pseudorange of it, which
-    /// gives the time of transmission.
+    /// The differences of one satellite. There are none if a receiver has no pseudorange of it,
+    /// because the time of transmission follows from the pseudorange.
     fn add(
         &mut self,
         scene: &Scene,
@@ -274,11 +275,11 @@ impl SingleDifferences {
         });
     }
 
-    /// Corrects for wild pseudoranges, from which times of transmission were wrong.
+    /// Corrects times of transmission that were computed from wild pseudoranges.
     ///
-    /// A receiver samples all signals at one time, which its clock offset tells: the median of
-    /// pseudoranges less ranges, if most of them agree with it. A pseudorange that is off by more
-    /// than W = 440 m, the most that multipath can cause, gives the phases of its satellite an
+    /// A receiver samples all signals at one time, which follows from its clock offset: the median
+    /// of pseudoranges minus ranges, if most of them agree with it. A pseudorange that is off by
+    /// more than W = 440 m, the most that multipath can cause, gives the phases of its satellite an
     /// error above a millimetre: ρ̇·W/c with ρ̇ of 800 m/s.
     fn receive_at_once(&mut self, scene: &Scene) {
         let Self { satellites, list, numbers, .. } = self;
@@ -345,8 +346,8 @@ impl SingleDifferences {
         self.list.retain(|d| mask_rad <= satellites[d.common].look.elevation_rad);
     }
 
-    /// Satellites with a pseudorange, and how many of them a position and one offset for each
-    /// group need.
+    /// Number of satellites with a pseudorange, and how many are needed for a position and one
+    /// offset for each constellation.
     pub(super) fn used_and_needed(&self) -> (usize, usize) {
         let mut seen = [0_u128; Constellation::COUNT];
         for difference in self.list.iter().filter(|d| d.pseudorange.is_some()) {
@@ -425,7 +426,7 @@ fn valid_m(observation: &Observation) -> Option<f64> {
 
 /// The carrier phase as a range (m).
 ///
-/// A phase that lost lock and whose half cycle is open is not used: its tracking loop has not
+/// A phase that lost lock and whose half cycle is unresolved is not used: its tracking loop has not
 /// settled.
 fn carrier_m(observation: &Observation, pair: &Pair<'_>) -> Option<f64> {
     let wavelength = Meters(SPEED_OF_LIGHT / pair.frequency_hz);

@@ -8,7 +8,7 @@ use crate::snapshot::snapshot_fields;
 /// Kernel on the norm of the three rows (GraphGNSSLib).
 const KERNEL: Kernel = Kernel::huber(1.0);
 
-/// Doppler-velocity factor between two states, one row an axis.
+/// Doppler-velocity factor between two states, one row per axis.
 ///
 /// r = ((p₊ − p)/Δt − v) / σ
 ///

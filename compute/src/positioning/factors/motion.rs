@@ -8,7 +8,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::VELOCITY;
 
-/// Standard deviation of the trapezoid beyond what acceleration explains (m/√s).
+/// Standard deviation of the trapezoidal displacement beyond what acceleration explains (m/√s).
 const LINK_WALK_M: f64 = 0.02;
 
 /// Random walk of the velocity by axis.
@@ -37,7 +37,7 @@ impl MotionWalk {
     }
 }
 
-/// Motion factor between two states, two rows an axis.
+/// Motion factor between two states, two rows per axis.
 ///
 /// r₁ = (p₊ − p − Δt·(v + v₊)/2) / σ₁, σ₁² = q²Δt³/12 + (0.02 m)²·Δt
 /// r₂ = (v₊ − v) / σ₂, σ₂² = q²Δt

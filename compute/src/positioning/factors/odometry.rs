@@ -15,10 +15,11 @@ const INTERVAL_TOLERANCE_S: f64 = 0.05;
 ///
 /// r = L⁻¹·(p₊ − p − R·d), L·Lᵀ = R·Σ·Rᵀ + σ_ψ²·u·uᵀ
 ///
-/// d displacement along the sensor's axes (m), Σ its covariance (m²), R from those axes to the
-/// local frame. For body axes R rotates by the heading ψ, from north to east: forward is [sin ψ,
-/// cos ψ, 0], left [−cos ψ, sin ψ, 0]. u = ∂(R·d)/∂ψ = [n, −e, 0] for R·d = [e, n, u]; it
-/// propagates the heading's σ_ψ. The body is assumed level: Σ must allow for slopes.
+/// d is the displacement along the sensor's axes (m), Σ its covariance (m²), R the rotation from
+/// those axes to the local frame. For body axes R rotates by the heading ψ, from north to east:
+/// forward is [sin ψ, cos ψ, 0], left [−cos ψ, sin ψ, 0]. u = ∂(R·d)/∂ψ = [n, −e, 0], with e and n
+/// the east and north components of R·d; it propagates the heading's σ_ψ. The body is assumed
+/// level: Σ must allow for slopes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct OdometryFactor {
     /// R·d (m).

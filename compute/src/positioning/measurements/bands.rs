@@ -2,8 +2,8 @@
 //!
 //! L5 is another path through the receiver's electronics. Most receivers are calibrated to some
 //! nanoseconds, but in a Pixel 4 pseudoranges of L5 are 2.1 to 2.4 km shorter than those of L1. A
-//! satellite that is received on L5 alone says nothing of this; satellites received on both do. The
-//! ionosphere changes the difference by less than 100 m, and multipath by W = 440 m at the most
+//! satellite that is received on L5 alone does not show this; satellites received on both bands do.
+//! The ionosphere changes the difference by less than 100 m, and multipath by W = 440 m at the most
 //! (`code_error`), so a median above W is a delay of the receiver.
 
 use crate::gnss::{Band, Constellation, Epoch, Observation, Signal};
@@ -13,7 +13,7 @@ use crate::snapshot::snapshot_fields;
 
 use super::PSEUDORANGES_M;
 
-/// What the satellites with L1 and L5 have shown.
+/// The delay between L5 and L1, from the satellites received on both.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(in crate::positioning) struct ReceiverBands {
     /// L5 minus L1 of GPS and QZSS: the median of the newest epoch that had both (m).
@@ -26,14 +26,14 @@ impl ReceiverBands {
     /// Bands with one clock, for a view of all signals.
     pub(in crate::positioning) const AGREEING: Self = Self { l5_late_m: Some(0.0) };
 
-    /// What one epoch shows.
+    /// The delay that one epoch shows.
     pub(in crate::positioning) fn of(epoch: &Epoch) -> Self {
         let mut bands = Self::default();
         bands.learn(epoch);
         bands
     }
 
-    /// Takes the satellites of an epoch that have both bands.
+    /// Updates with the satellites of an epoch that have both bands.
     pub(in crate::positioning) fn learn(&mut self, epoch: &Epoch) {
         let shared = epoch.by_satellite().filter(|(satellite, _)| {
             matches!(satellite.constellation, Constellation::Gps | Constellation::Qzss)
@@ -47,14 +47,14 @@ impl ReceiverBands {
         self.l5_late_m = median(&mut late_m).or(self.l5_late_m);
     }
 
-    /// Whether a satellite received on L5 alone measures the same clock as those on L1. Not known
-    /// before a satellite had both.
+    /// Whether a satellite received on L5 alone measures the same clock as those on L1. False
+    /// before a satellite had both bands.
     pub(in crate::positioning) fn agree(&self) -> bool {
         self.l5_late_m.is_some_and(|late_m| late_m.abs() <= WILD_M)
     }
 }
 
-/// The first possible pseudorange in a band (m).
+/// The first valid pseudorange in a band (m).
 fn first_m(observations: &[Observation], band: Band) -> Option<f64> {
     observations.iter().find_map(|observation| {
         let signal = Signal::of(observation.satellite, observation.code);

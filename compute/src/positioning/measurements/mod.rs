@@ -97,7 +97,7 @@ pub struct Measurement {
     pub ionosphere_m2: f64,
     /// Modelled tropospheric slant delay (m).
     pub troposphere_m: f64,
-    /// Pseudorange without atmosphere, too (m): ρ + c·δt_r.
+    /// Pseudorange corrected for the atmosphere, too (m): ρ + c·δt_r.
     pub corrected_range_m: f64,
     /// Variance of `corrected_range_m` (m²).
     pub variance_m2: f64,
@@ -129,8 +129,8 @@ impl Measurements {
     /// Takes the usable measurements of `epoch` under `options`, corrected for satellites and
     /// clocks.
     ///
-    /// A satellite or signal that appears twice counts once: the first one. A signal without a
-    /// stated delay is taken if the receiver's bands agree.
+    /// If a satellite or signal appears twice, the first one counts. A signal whose group delay the
+    /// message does not contain is used only if the receiver's bands agree.
     pub(super) fn gather(
         &mut self,
         epoch: &Epoch,
@@ -367,7 +367,7 @@ fn best_of_first_band<'a>(
             return None;
         }
         let (group_delay_m, group_delay_m2) = group_delay(ephemeris, observation.code, options)?;
-        // A second pseudorange is there to correct the first.
+        // The second pseudorange corrects the first, so its group delay must be known.
         if 0.0 < group_delay_m2 && (other_than.is_some() || !bands.agree()) {
             return None;
         }
