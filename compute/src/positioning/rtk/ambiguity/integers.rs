@@ -542,8 +542,8 @@ mod tests {
         assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
     }
 
-    /// An arc that joins proven integers is on trial: another integer at the next epoch replaces its
-    /// first one; two epochs in a row that are nearly certain prove it.
+    /// An arc that joins proven integers is on trial. Another integer at the next epoch replaces
+    /// its first one. Two epochs in a row that are nearly certain prove it.
     #[test]
     fn new_integers_are_on_trial() {
         let mut arcs = arcs(0);
@@ -594,8 +594,8 @@ mod tests {
         assert!(IntegerSearch::default().separator(&arcs(2), &question).is_none());
     }
 
-    /// Integers that leave the position uncertain by more than 5 cm, or the height by more than 15
-    /// cm, are not accepted as a fix.
+    /// Integers that leave the position uncertain by more than 5 cm, or the height by more than
+    /// 15 cm, are not accepted as a fix.
     #[test]
     fn an_uncertain_position_is_refused() {
         let outcome = |horizontal_m: f64, vertical_m: f64| {

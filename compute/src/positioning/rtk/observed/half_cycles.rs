@@ -28,8 +28,8 @@ pub(crate) fn half_cycle_step(difference: f64, variance: f64, probability_min: f
 mod tests {
     use super::*;
 
-    /// σ = 0.1: at 0.52 the density of ½ is e^(−0.02), that of 0 e^(−13.52), so P = 1 − 1.4·10⁻⁶. At
-    /// 0.3 they are e^(−2) and e^(−4.5), P = 0.924.
+    /// σ = 0.1: at 0.52 the density of ½ is e^(−0.02), that of 0 e^(−13.52), so P = 1 − 1.4·10⁻⁶.
+    /// At 0.3 they are e^(−2) and e^(−4.5), P = 0.924.
     #[test]
     fn a_step_worked_by_hand() {
         assert_eq!(half_cycle_step(0.52, 0.01, 0.999_998), Some(0.5));
