@@ -21,8 +21,8 @@ const REFUSED_M: f64 = 100.0;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BasePositionCheck {
     sum_m: Vector3<f64>,
-    /// Epochs with a single-point position so far; zero if there is no navigation data of their
-    /// time.
+    /// Number of epochs with a single-point position so far; zero if there is no navigation data of
+    /// their time.
     pub epochs: u32,
 }
 

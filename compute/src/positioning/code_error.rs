@@ -26,8 +26,8 @@ use crate::snapshot::snapshot_fields;
 pub(super) const WILD_M: f64 = 1.5 * 293.052_256;
 /// H (m): height of walls above the antenna, as of houses of a dozen floors.
 const WALL_M: f64 = 40.0;
-/// Least λ (m): diffraction at a roof, and what reflects beside the antenna, delay high satellites
-/// too.
+/// Least λ (m): diffraction at a roof, and reflectors beside the antenna, delay the signals of high
+/// satellites, too.
 const EXTRA_PATH_MIN_M: f64 = 10.0;
 /// Sine of 6°, below the elevation masks.
 pub(super) const LOWEST_SINE: f64 = 0.1;
@@ -60,8 +60,8 @@ snapshot_fields!(CodeError { sigma_m, reflected, extra_path_m });
 ///
 /// A vertical wall at the horizontal distance d, whose normal is α away from the satellite's
 /// azimuth, reflects with the extra path 2d·cos E·cos α at the height d·tan E/cos α. The wall is no
-/// higher than H, so d is at most H·cos α/tan E. λ is the mean over d up to there, and over α: near
-/// walls only reflect high satellites.
+/// higher than H, so d is at most H·cos α/tan E. λ is the mean over all such d and over α. So
+/// signals of high satellites are reflected by near walls only.
 pub(super) fn extra_path_m(sin_elevation: f64) -> f64 {
     let cos2 = 1.0 - sin_elevation * sin_elevation;
     (0.5 * WALL_M * cos2 / sin_elevation.max(LOWEST_SINE)).max(EXTRA_PATH_MIN_M)
@@ -74,9 +74,9 @@ pub(super) struct Evaluated {
     pub(super) density: f64,
     /// dJ/ds (1/m).
     pub(super) slope: f64,
-    /// Curvature of the expectation's bound (1/m²).
+    /// Curvature of the bound of J in expectation maximisation (1/m²).
     pub(super) curvature: f64,
-    /// d²J/ds² (1/m²), negative where the identification changes.
+    /// d²J/ds² (1/m²), negative where direct and reflected are about equally likely.
     pub(super) information: f64,
     /// γ_D: probability that the signal is direct, given its residual.
     pub(super) direct: f64,
@@ -89,9 +89,9 @@ pub(super) struct Whitened {
     pub(super) density: f64,
     /// dJ/dz.
     pub(super) slope: f64,
-    /// Curvature of the expectation's bound, in z.
+    /// Curvature of the bound of J in expectation maximisation, in z.
     pub(super) curvature: f64,
-    /// d²J/dz², negative where the identification changes.
+    /// d²J/dz², negative where direct and reflected are about equally likely.
     pub(super) information: f64,
     /// γ_D: probability that the signal is direct, given its residual.
     pub(super) direct: f64,
@@ -156,9 +156,9 @@ impl Likelihood {
 
     /// The likelihood at z = s/σ, with slope and curvatures of J in z.
     ///
-    /// The curvature of the expectation's bound is that of a known identification. The one of J is
-    /// smaller by the missing information: Louis (1982), *Finding the observed information matrix
-    /// when using the EM algorithm*, (3.2).
+    /// `curvature` is that of the bound in expectation maximisation, which treats γ_D and γ_R as
+    /// known. The curvature of J is smaller by the missing information: Louis (1982), *Finding the
+    /// observed information matrix when using the EM algorithm*, (3.2).
     #[inline]
     pub(super) fn weigh(&self, z: f64) -> Whitened {
         let (direct, late, hazard) = self.joint_densities(z);
@@ -169,7 +169,7 @@ impl Likelihood {
         let on_late = self.ratio - hazard;
         let slope = direct * z + late * on_late;
         let curvature = direct + late * hazard * (u + hazard);
-        // The missing information is the variance of the slope over the unknown identification.
+        // The missing information is the variance of the slope over direct, reflected and fault.
         let missing = direct * z * z + late * on_late * on_late - slope * slope;
         Whitened { density, slope, curvature, information: curvature - missing, direct }
     }

@@ -10,7 +10,8 @@ impl Draws {
         Self(seed)
     }
 
-    /// A number below `bound`, which is small: the excess of the lower ones is bound/2⁶⁴.
+    /// A number below `bound`, which is small: lower numbers are more probable by bound/2⁶⁴ at
+    /// most.
     pub(super) fn below(&mut self, bound: usize) -> usize {
         (self.next_bits() % bound as u64) as usize
     }
@@ -39,9 +40,9 @@ impl Draws {
 /// ln of the probability that no subset of those drawn contains only sound items: 0.1 %.
 const LN_MISSED: f64 = -6.907_755_278_982_137;
 
-/// Number of subsets of this `size` of which one contains only sound items with a probability of
-/// 99.9 %, if this fraction of the items is `sound` (Fischler & Bolles 1981, *Random sample
-/// consensus*, CACM 24). Infinite where none is.
+/// Number of subsets of `size` items after which at least one contains only sound items with a
+/// probability of 99.9 %. `sound` is the fraction of items that are sound (Fischler & Bolles 1981,
+/// *Random sample consensus*, CACM 24). Infinite if that is zero.
 pub(super) fn subsets_needed(sound: f64, size: usize) -> f64 {
     let chance = sound.powi(size as i32);
     LN_MISSED / (-chance).ln_1p()

@@ -20,7 +20,7 @@ pub(super) struct EpochInputs<'a> {
     /// The pseudoranges that a base corrected, for an estimator that takes no others.
     pub(super) corrected: Option<&'a CorrectedRanges>,
     pub(super) setup: &'a Setup,
-    /// What the receiver has shown of its bands, this epoch included.
+    /// The delay between the receiver's bands, as far as it is known, this epoch included.
     pub(super) bands: ReceiverBands,
 }
 

@@ -153,7 +153,7 @@ impl Kind {
     }
 }
 
-/// Options with the tests and models that follow from them, whose computing takes as long as an
+/// Options with the tests and models that follow from them. To compute these takes as long as an
 /// epoch. Clones share them.
 #[derive(Clone, Debug)]
 pub struct PreparedOptions(Arc<Setup>);
@@ -274,7 +274,7 @@ impl EstimatorState {
         Ok(state)
     }
 
-    /// The same as [`Self::snapshot`] as a part of another snapshot, which has the only hash.
+    /// The same as [`Self::snapshot`], as a part of another snapshot. Only the whole has a hash.
     pub fn save_in(&self, writer: &mut SnapshotWriter) {
         LAYOUT.save(writer);
         self.write(writer);

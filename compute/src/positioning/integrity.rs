@@ -11,7 +11,7 @@
 //! distributions and their applications*, section 1.7), which also bounds one component.
 //!
 //! A fixed solution whose integers are wrong with a probability above the risk has no level. While
-//! a start is unproven, another position may be as likely, which no covariance contains: the levels
+//! a start is unproven, another position may be as likely, and no covariance shows this. The levels
 //! are then at least the longest delay of multipath.
 
 use crate::config::{Beyond, IntegrityOptions};
@@ -80,13 +80,13 @@ pub(super) fn major_m2(xx: f64, yy: f64, xy: f64) -> f64 {
     0.5 * (xx + yy) + half.hypot(xy)
 }
 
-/// Radius of a bivariate t that is exceeded with probability `risk`, in scales.
+/// Radius of a bivariate t that is exceeded with probability `risk`, in units of its scale.
 fn radius(risk: f64) -> f64 {
     (DEGREES * (risk.powf(-2.0 / DEGREES) - 1.0)).sqrt()
 }
 
-/// What a standard normal variable exceeds with probability `tail`, 0 < `tail` ≤ ½: Abramowitz &
-/// Stegun (1964), *Handbook of Mathematical Functions*, 26.2.23, within 4.5·10⁻⁴.
+/// The value that a standard normal variable exceeds with probability `tail`, 0 < `tail` ≤ ½:
+/// Abramowitz & Stegun (1964), *Handbook of Mathematical Functions*, 26.2.23, within 4.5·10⁻⁴.
 pub(super) fn normal_one_sided(tail: f64) -> f64 {
     let t = (-2.0 * tail.ln()).sqrt();
     let numerator = 2.515_517 + t * (0.802_853 + t * 0.010_328);
@@ -114,7 +114,7 @@ mod tests {
         assert!(normal_one_sided(0.5) < 5e-4);
     }
 
-    /// Integers that are wrong in one of a hundred epochs bound nothing at a risk of one in a
+    /// Integers that are wrong in one of a hundred epochs give no bound at a risk of one in a
     /// thousand.
     #[test]
     fn doubtful_integers_have_no_level() {

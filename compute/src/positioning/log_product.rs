@@ -1,4 +1,4 @@
-//! Sums of logarithms, with one logarithm for a dozen and more of the terms: that of their product.
+//! Sums of logarithms. A dozen or more terms need one logarithm only: that of their product.
 
 /// A smaller or larger product is replaced by its logarithm.
 const SMALL: f64 = 1e-50;
@@ -12,7 +12,7 @@ pub(super) struct LogProduct {
 }
 
 impl LogProduct {
-    /// Of no numbers.
+    /// The sum of no terms.
     pub(super) const ZERO: Self = Self { sum: 0.0, product: 1.0 };
 
     /// Adds ln `x`.
@@ -41,7 +41,7 @@ pub(super) fn log_product(numbers: impl Iterator<Item = f64>) -> f64 {
 mod tests {
     use super::*;
 
-    /// The product of each list is no number, or zero.
+    /// The product of each list overflows or is zero.
     #[test]
     fn products_beyond_all_numbers_have_a_logarithm() {
         let ten = 10.0_f64.ln();

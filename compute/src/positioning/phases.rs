@@ -1,10 +1,10 @@
 //! Carrier phases of the last epoch, and their differences to the next.
 //!
 //! The ionosphere advances a phase φ₁ by I, and one on a second frequency, φ₂, by γI. The change of
-//! I between two epochs is measured as Δ(φ₁ − φ₂)/(γ − 1), with three times the noise of a phase,
-//! and predicted by the model, whose error changes slowly. Both are weighted by their variances. So
-//! the model has most weight from second to second. From minute to minute the second phase has,
-//! when the model's error would appear as a drift of the position.
+//! I between two epochs is measured as Δ(φ₁ − φ₂)/(γ − 1), with three times the noise of a phase.
+//! It is also predicted by the model, whose error changes slowly. Both are weighted by their
+//! variances. So from second to second the model has most of the weight. From minute to minute,
+//! when the model's error would appear as a drift of the position, the second phase has most of it.
 
 use crate::config::REFERENCE_CN0_DB_HZ;
 use crate::gnss::{ObservationCode, SatelliteId};
@@ -16,7 +16,7 @@ use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
 use super::median::median;
 use super::ranging::sighted;
 
-/// Thermal noise of a phase difference at that C/N0 (m).
+/// Thermal noise of a phase difference at the reference C/N0 (m).
 const THERMAL_M: f64 = 0.004;
 /// Phase multipath and noise on the frequencies whose difference shows the ionosphere (m).
 const PHASE_M: f64 = 0.003;
@@ -25,7 +25,8 @@ const PHASE_M: f64 = 0.003;
 const MODEL_LASTS_S: f64 = 1_800.0;
 /// A change of the ionosphere this many standard deviations from the model is a cycle slip.
 const IONOSPHERE_SIGMAS: f64 = 5.0;
-/// Differences further than this from whole milliseconds are of another clock (m): 0.1 ms.
+/// If the median difference is further than this from whole milliseconds, the phases have another
+/// clock (m): 0.1 ms.
 const CLOCK_DIFFERS_M: f64 = 3e4;
 
 /// A carrier phase of the last epoch.
@@ -73,8 +74,8 @@ impl Kept {
         })
     }
 
-    /// Change of the ionospheric delay since `before` beyond its model (m), by the second frequency
-    /// of `measurement`, the measurement of this phase.
+    /// Change of the ionospheric delay since `before` that its model does not contain (m). It
+    /// follows from the second frequency of `measurement`, the measurement of this phase.
     fn unmodelled_m(&self, before: &Self, measurement: &Measurement, interval_s: f64) -> f64 {
         let (Some(old), Some(new)) = (&before.second, &self.second) else { return 0.0 };
         let Some(second) = measurement.second.as_ref() else { return 0.0 };

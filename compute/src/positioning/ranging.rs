@@ -1,4 +1,4 @@
-//! The satellites of an epoch, and its pseudorange factors with their identification.
+//! The satellites of an epoch, and its pseudorange factors: which signals are direct or reflected.
 
 use crate::gnss::{Constellation, Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{Kernel, Law, Row};
@@ -88,13 +88,13 @@ pub(super) struct Judged {
 /// The losses of an epoch's pseudoranges.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RangeLosses {
-    /// Of those with a kernel.
+    /// Sum over the pseudoranges with a kernel.
     kernel: f64,
     mixture: LogProduct,
 }
 
 impl RangeLosses {
-    /// Of no pseudorange.
+    /// The losses of no pseudoranges.
     pub(super) const ZERO: Self = Self { kernel: 0.0, mixture: LogProduct::ZERO };
 
     /// Their sum.
@@ -103,7 +103,7 @@ impl RangeLosses {
     }
 }
 
-/// What a pseudorange says of the noise, at its residual.
+/// Contribution of a pseudorange to the estimate of the noise, at its residual.
 pub(super) struct Influence {
     pub(super) constellation: Constellation,
     /// ψ of the whitened residual.
@@ -200,7 +200,7 @@ impl Ranging {
         Some(Likelihood::new(per_sigma_m, chance, before_learning.extra_path_m))
     }
 
-    /// Its part in the residuals of its epoch, with the error model that [`Self::judge`] uses.
+    /// Its contribution to the noise, with the error model that [`Self::judge`] uses.
     pub(super) fn influence(&self, residual: f64, kernel: &Kernel) -> Influence {
         let constellation = self.satellite.constellation;
         let Some(likelihood) = self.likelihood().filter(|_| kernel.law != Law::Huber) else {

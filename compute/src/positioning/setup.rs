@@ -40,7 +40,8 @@ pub(super) struct Setup {
     pub(super) learns: bool,
     /// The graph of differences against a base.
     pub(super) relative: GraphSettings,
-    /// The same for a receiver whose pseudoranges a base corrects; only in modes relative to one.
+    /// The setup of a receiver whose pseudoranges a base corrects; only in modes relative to a
+    /// base.
     pub(super) corrected: Option<Box<Setup>>,
     /// Whether epochs are answered only at the end, from the whole recording.
     pub(super) is_batch: bool,
@@ -72,7 +73,7 @@ impl Setup {
         }
     }
 
-    /// The base's pseudoranges have the same errors of orbits and clocks.
+    /// Errors of orbits and clocks cancel: the pseudoranges of the base have the same ones.
     fn corrected(options: &PositioningOptions) -> Self {
         let mut options = PositioningOptions { mode: Mode::Fgo, ..options.clone() };
         options.graph.orbit_clock_sigma_m = 0.0;

@@ -12,7 +12,7 @@ use crate::models::{select_ephemeris, select_ephemeris_within};
 use super::measurements::ReceiverBands;
 use super::{Measurement, Measurements};
 
-/// Satellites of one constellation below which a median says nothing of its clock.
+/// Minimum number of satellites of one constellation for a median that represents its clock.
 const MEDIAN_MIN: usize = 3;
 
 /// Whether a satellite determines the position, or why not.
@@ -32,7 +32,7 @@ pub enum SatelliteRole {
     Unused,
 }
 
-/// One satellite of an epoch as the answered position sees it.
+/// One satellite of an epoch as seen from the answered position.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SatelliteView {
     /// The observed satellite.
@@ -52,7 +52,7 @@ pub struct SatelliteView {
     pub has_half_cycle: bool,
 }
 
-/// The observed satellites of `epoch`, in its order, as its answer `solution` sees them.
+/// The observed satellites of `epoch`, in its order, as seen from its answer `solution`.
 pub fn satellite_views(
     epoch: &Epoch,
     solution: &Solution,
@@ -62,7 +62,7 @@ pub fn satellite_views(
     let position = solution.estimate.as_ref().map(|estimate| estimate.position);
     let mut measurements = Measurements::default();
     measurements.gather(epoch, navigation, options, ReceiverBands::AGREEING);
-    // None: a position where no receiver can be has no residuals either.
+    // `place` has no result for a position where no receiver can be: there are no residuals either.
     let residuals = position
         .filter(|position| measurements.place(*position, epoch.time, navigation, options).is_some())
         .map(|position| residuals(&measurements.list, position))

@@ -16,7 +16,7 @@ use super::factors::{DopplerFactor, State};
 
 /// Probability that an epoch at rest fails the test.
 const FALSE_ALARM: f64 = 0.05;
-/// The speed that must be visible (m/s), and the rise of the sum that makes it so.
+/// The speed that must be visible (m/s), and the increase of the sum at which it is visible.
 const SHOWING_M_S: f64 = 0.3;
 const SHOWN_BY: f64 = 25.0;
 /// Time for which every epoch must pass the test (s). Between epochs further apart the receiver may
@@ -27,7 +27,7 @@ const STILL_S: f64 = 2.0;
 #[derive(Clone, Debug)]
 pub(super) struct StandstillTest(ChiSquareLimits);
 
-/// Time for which the epochs have passed the test; plain data.
+/// Time for which the epochs have passed the test.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Standstill {
     /// Time since the first epoch that passed (s).

@@ -17,15 +17,15 @@
 //! - s² = (Σw/Σψ′)·max(1, Σψ²/Σψ′) over the pseudoranges near the epoch, with the influence
 //!   function ψ and the weights w of C. An M-estimator has the covariance Σψ²/(Σψ′)²·(GᵀG)⁻¹ (Huber
 //!   1981, *Robust Statistics*, section 7.6), and C is (GᵀG)⁻¹/Σw. Σw exceeds Σψ′ because weights
-//!   treat the identification of reflections as known (Louis 1982). If the errors have the modelled
+//!   treat it as known which signals are reflected (Louis 1982). If the errors have the modelled
 //!   variance, Σψ² = Σψ′. Larger residuals widen Σ; smaller ones do not narrow it, because they
 //!   do not contain the errors that satellites have in common. One pseudorange of the modelled
 //!   variance is added as a prior.
 //! - σ is the standard deviation of broadcast orbit and clock, independent between satellites. i
 //!   and t are those of the ionosphere's and the troposphere's models, with one error for all
 //!   satellites: such a model errs in its zenith delay, and the common part goes into clocks and
-//!   height. K is the gain of the epoch alone; the small part of C matters if that determines no
-//!   position.
+//!   height. K is the gain of the epoch's own pseudoranges; the small part of C matters only if
+//!   these determine no position.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -115,8 +115,8 @@ impl Residuals {
         1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
     }
 
-    /// The sums of an epoch whose own pseudoranges determine its position: its residuals are
-    /// smaller than its errors, Σψ² by (m − p)/m.
+    /// The sums of an epoch whose own pseudoranges determine its position. Its residuals are
+    /// smaller than its errors, so Σψ² is multiplied by (m + 1)/(m − p + 1).
     pub(super) fn of_own_position(mut self) -> Self {
         self.squares *= (self.count + 1.0) / (self.redundancy + 1.0);
         self
@@ -242,7 +242,7 @@ mod tests {
         ErrorModel { repetition: 60.0, variance_factor: 1.0, orbit_clock_m2: 0.0 };
 
     /// East: four slopes of ±1/√2 and 0, Λ = 2·0.5/4 = 0.25 1/m². A window of white noise with
-    /// C = 0.01 m² holds 100/60 1/m² more: 1/(0.25 + 1.667) m².
+    /// C = 0.01 m² adds 100/60 1/m²: 1/(0.25 + 1.667) m².
     #[test]
     fn a_windows_information_is_divided_by_its_repetition() {
         let east_m2 = stated(0.01, ERRORS)[(0, 0)];

@@ -114,7 +114,8 @@ pub(super) fn variance_m2_s2(sigma_m_s: f64, cn0_db_hz: f64) -> f64 {
     sigma_m_s * sigma_m_s * (1.0 + (std::f64::consts::LN_10 * decades).exp())
 }
 
-/// Reweighted least squares: residuals beyond `huber` deviations have the influence of that size.
+/// Reweighted least squares: residuals beyond `huber` deviations have the influence of `huber`
+/// deviations.
 fn solve(rows: &[Row], huber: f64) -> Option<Velocity> {
     if rows.len() < 4 {
         return None;
