@@ -5,7 +5,7 @@
 //! Jacobian) touches one state, or two neighbours, and any border variables; ρᵢ is a robust
 //! [`Kernel`].
 //!
-//! | module | holds |
+//! | module | contains |
 //! |---|---|
 //! | [`kernel`] | robust kernels: loss ρ(s) and weight w(s) = ρ′(s)/s |
 //! | [`annealing`] | graduated non-convexity: which kernel width in which iteration |

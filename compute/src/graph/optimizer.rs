@@ -31,7 +31,7 @@ pub trait Problem<const S: usize> {
 /// gᵀH⁻¹g of a step that is one standard deviation long.
 const FAR: f64 = 1.0;
 
-/// When a solve ends.
+/// The schedule of a solve, and when it ends.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OptimizerOptions {
     /// Phases and their iterations.

@@ -15,7 +15,7 @@ impl Fix {
         Self { entries: Vec::with_capacity(size) }
     }
 
-    /// Each original entry's integer, where it is fixed.
+    /// The integer of each original entry; `None` if the entry is not fixed.
     pub fn entries(&self) -> &[Option<i64>] {
         &self.entries
     }
@@ -29,7 +29,7 @@ impl Fix {
     /// from their decorrelated integers `z`: a = base + Z⁻ᵀz. `z` becomes Z⁻ᵀz.
     ///
     /// `base` are the integer parts of all entries, subtracted before decorrelation. Returns
-    /// whether all numbers on the way are exact in an `f64`.
+    /// whether all intermediate numbers are exact in an `f64`.
     pub(in crate::lambda) fn hold(
         &mut self,
         reduction: &Reduction,

@@ -103,10 +103,11 @@ pub enum LambdaError {
 /// Largest magnitude below which every integer and half-integer is exact in an `f64`.
 const EXACT_MAX: f64 = 4_503_599_627_370_496.0;
 
-/// The nearest integer, the even one of two.
+/// The nearest integer. Of two equally near it is the even one, or beyond 2⁵⁰ the one away from
+/// zero.
 ///
-/// The sum with 1.5·2⁵² has no digits after the point: two additions, where `f64::round` is a call
-/// on processors without an instruction for it.
+/// The sum with 1.5·2⁵² has no digits after the point. So this costs two additions, while
+/// `f64::round` is a call on processors without an instruction for it.
 #[inline]
 fn nearest(value: f64) -> f64 {
     const SHIFT: f64 = 1.5 * EXACT_MAX;

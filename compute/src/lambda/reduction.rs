@@ -7,9 +7,10 @@
 //! Xie, Chang & Al Borno (2011), *Partial LLL reduction*, arXiv:1204.1398 (the other entries of a
 //! column only once, at the end: neither the swaps nor D depend on them).
 //!
-//! Entries are left out without a new decorrelation: Euclid's algorithm on a row of Z, by the same
-//! two kinds of steps, leaves that row with one entry. It stands first, where nothing depends on
-//! it, and the others are decorrelated again, which takes few steps.
+//! An entry is left out without a new decorrelation. Euclid's algorithm on a row of Z, by the same
+//! two kinds of steps, leaves this row with a single entry that is not zero. This entry is moved to
+//! the front, where nothing depends on it. The others are decorrelated again, which takes few
+//! steps.
 
 use crate::lambda::EXACT_MAX;
 use crate::lambda::LambdaError;
@@ -60,8 +61,8 @@ impl Step {
 /// A decorrelated covariance, and the workspace that computes the next one without allocation.
 ///
 /// Matrices are flat and column-major; entry (i, j) is at i + j·n. Z is kept as the product of its
-/// steps: a step costs no more than two numbers, and one that had to be applied to Z and Z⁻ᵀ would
-/// cost more than what it does to L.
+/// steps. A step then costs at most two numbers. To apply it to Z and Z⁻ᵀ would cost more than to
+/// apply it to L.
 #[derive(Clone, Debug)]
 pub(crate) struct Reduction {
     size: usize,
@@ -72,7 +73,7 @@ pub(crate) struct Reduction {
     variances: Vec<f64>,
     steps: Vec<Step>,
     floats: Vec<f64>,
-    /// Whether all floats on the way were below the integers that an `f64` represents exactly.
+    /// Whether all intermediate floats were below the integers that an `f64` represents exactly.
     is_exact: bool,
     scale: Vec<f64>,
     row: Vec<f64>,
@@ -115,7 +116,7 @@ impl Reduction {
         self.finish()
     }
 
-    /// Becomes another reduction, in the memory that it has.
+    /// Copies another reduction into the memory of this one.
     pub(in crate::lambda) fn copy_from(&mut self, other: &Self) {
         (self.size, self.left_out, self.is_exact) = (other.size, other.left_out, other.is_exact);
         self.factor.clone_from(&other.factor);
@@ -125,11 +126,10 @@ impl Reduction {
         self.floats.clone_from(&other.floats);
     }
 
-    /// Leaves out one decorrelated entry, so that the others are those combinations of original
-    /// entries whose coefficients times `weights` add up to zero. If one weight is 1 and the others
-    /// are 0, they are the combinations without that original entry; if the weights of all
-    /// differences from a common reference are 1, those without the reference. The n weights are
-    /// integers; they are overwritten.
+    /// Leaves out one decorrelated entry. The others are then the combinations of original entries
+    /// whose coefficients times `weights` add up to zero. If one weight is 1 and the others are 0,
+    /// that original entry is left out. If the weights of all differences from a common reference
+    /// are 1, the reference is left out. The n weights are integers; they are overwritten.
     ///
     /// # Errors
     /// `Overflow`.
@@ -185,15 +185,15 @@ impl Reduction {
         conditioned.iter().zip(self.variances()).map(|(z, d)| z * z / d).sum()
     }
 
-    /// Turns n values a into Zᵀa; the first belong to what is left out. Returns whether all numbers
-    /// on the way are below the integers that an `f64` represents exactly.
+    /// Turns n values a into Zᵀa; the first ones belong to the entries left out. Returns whether
+    /// all intermediate numbers are below the integers that an `f64` represents exactly.
     pub(in crate::lambda) fn transform(&self, values: &mut [f64]) -> bool {
         let steps = self.steps.iter();
         steps.fold(true, |is_exact, step| is_exact & step.apply(values, -1.0))
     }
 
-    /// Turns decorrelated integers z into the original ones, a = Z⁻ᵀz; those left out mean nothing.
-    /// Returns whether all numbers on the way are exact.
+    /// Turns decorrelated integers z into the original ones, a = Z⁻ᵀz; integers of entries left out
+    /// have no meaning. Returns whether all intermediate numbers are exact.
     pub(crate) fn restore(&self, integers: &mut Vec<f64>) -> bool {
         integers.splice(..0, std::iter::repeat_n(0.0, self.left_out));
         let steps = self.steps.iter().rev();

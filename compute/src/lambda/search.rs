@@ -2,8 +2,8 @@
 //!
 //! ‖ẑ − z‖² = Σ_k (z̄_k − z_k)²/d_k, z̄_k = ẑ_k + Σ_{j>k} (z_j − z̄_j) l_jk
 //!
-//! From the last entry to the first, nearest integers first; the ellipsoid shrinks to the norm of
-//! the worst stored candidate.
+//! The search goes from the last entry to the first and tries the nearest integers first. The
+//! ellipsoid shrinks to the norm of the worst stored candidate.
 //!
 //! Source: Chang, Yang & Zhou (2005), whose search is Schnorr & Euchner's enumeration.
 

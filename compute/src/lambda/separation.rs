@@ -1,6 +1,6 @@
 //! Known integers, tested by searches without some of the entries.
 //!
-//! All entries are decorrelated once; each search leaves out a few from there.
+//! All entries are decorrelated once. Each search leaves out some of these.
 
 use nalgebra::DMatrix;
 
@@ -10,12 +10,12 @@ use crate::lambda::search::{Search, SearchLimits, SearchOutcome};
 use crate::lambda::validation::{log_evidence, posterior, ratio};
 use crate::lambda::{LambdaError, odds_at_scale};
 
-/// What a search without some of the entries says.
+/// The result of a search without some of the entries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Separated {
     /// Posterior probability of the known integers.
     pub(crate) probability: f64,
-    /// ln of the density of the floats that are left, whatever their integers.
+    /// ln of the density of the floats that are left, summed over all integers.
     pub(crate) log_evidence: f64,
 }
 
@@ -39,7 +39,7 @@ impl Separation {
         }
     }
 
-    /// Decorrelates floats less their known integers, n of them, with a covariance of n×n.
+    /// Decorrelates n floats minus their known integers, with a covariance of n×n.
     ///
     /// # Errors
     /// No entry, a covariance that is not positive definite, or one that is badly conditioned.
@@ -51,9 +51,9 @@ impl Separation {
         self.whole.reduce(off, covariance.iter().copied())
     }
 
-    /// Searches without what `left_out` names: an entry by its index, a common reference of
-    /// differences by the indices of all of these. `None` if fewer than `options.fixed_min` entries
-    /// are left, or the search does not end.
+    /// Searches without the entries that `left_out` contains: an entry by its index, or a common
+    /// reference of differences by the indices of all of these. `None` if fewer than
+    /// `options.fixed_min` entries are left, or the search does not end.
     pub(crate) fn without(
         &mut self,
         left_out: impl Iterator<Item = impl IntoIterator<Item = usize>>,
@@ -95,8 +95,9 @@ mod tests {
     use crate::lambda::tests::{Random, options, squared_norm};
     use crate::lambda::{Partial, Resolver};
 
-    /// Entries left out one at a time, two at a time, and as the reference of differences: the same
-    /// probability and evidence as by a search among the entries that remain, differenced anew.
+    /// Entries left out one at a time, two at a time, and as the reference of differences. The
+    /// probability and evidence are those of a search among the entries that remain, differenced
+    /// again.
     #[test]
     fn as_if_the_entries_had_never_been() {
         let mut random = Random(23);
@@ -136,7 +137,7 @@ mod tests {
         }
     }
 
-    /// Known integers that are not the best have e^−7.5 of the probability of these.
+    /// Known integers that are not the best have e^−7.5 of the probability of the best ones.
     #[test]
     fn a_probability_worked_by_hand() {
         let mut separation = Separation::with_capacity(2);

@@ -185,8 +185,8 @@ mod tests {
         }
     }
 
-    /// The density of one float of variance 0.04, summed over all integers, integrates to one over a
-    /// cycle. Where one integer alone is likely, it is that of a normal.
+    /// The density of one float of variance 0.04, summed over all integers, integrates to one over
+    /// a cycle. Where one integer alone is likely, the density is that of a normal.
     #[test]
     fn the_evidence_is_a_density_of_the_fraction() {
         let scales = [None, Some(KnownScale { freedom: 8.0, variance: 0.7 })];
@@ -232,8 +232,8 @@ mod tests {
         assert!(scaled_posterior_probability(&norms, &variances, about_one(9.0)) + 0.05 < found);
     }
 
-    /// One entry of unit variance: Student's density over all integers, summed here one by one. With
-    /// many degrees of freedom it is the normal posterior.
+    /// One entry of unit variance: Student's density over all integers, summed here one by one.
+    /// With many degrees of freedom it is the normal posterior.
     #[test]
     fn scaled_posterior_is_the_sum_over_all_integers() {
         let (float, freedom): (f64, f64) = (0.2, 6.0);

@@ -6,9 +6,9 @@
 //! Hₖ₊₁,ₖ₊₁ −= G·Gᵀ, Hₖ₊₁,ᵦ −= G·W, Hᵦᵦ −= Wᵀ·W, and −gₖ₊₁ −= G·y, −gᵦ −= Wᵀ·y.
 //!
 //! A border variable joins the front at the first state that touches it. With
-//! [`BorderLife::WhileTouched`] it is eliminated after the last one, so the cost per state depends
-//! on the variables alive there, never on all there are; what is left after the last state is
-//! solved densely.
+//! [`BorderLife::WhileTouched`] it is eliminated after the last one. So the cost per state depends
+//! on the variables alive there and not on the number of all variables. The variables left after
+//! the last state are solved densely.
 
 mod columns;
 mod error;
