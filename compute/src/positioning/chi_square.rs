@@ -19,7 +19,8 @@ impl ChiSquareLimits {
         Self(limits)
     }
 
-    /// The limit for `degrees` degrees of freedom, 1 or more; above 64 that of 64, scaled.
+    /// The limit for `degrees` degrees of freedom, 1 or more. Above 64 it is that of 64, scaled in
+    /// proportion.
     pub(crate) fn at(&self, degrees: usize) -> f64 {
         let tabulated = degrees.clamp(1, DEGREES_MAX);
         self.0[tabulated - 1] * (degrees.max(1) as f64 / tabulated as f64)

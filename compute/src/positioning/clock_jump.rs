@@ -27,8 +27,8 @@ pub(super) fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
 mod tests {
     use super::*;
 
-    /// 1.5 km in a second is drift, two milliseconds less 800 m are a jump, and half a millisecond
-    /// is neither.
+    /// 1.5 km in a second is drift. Two milliseconds minus 800 m are a jump. Half a millisecond is
+    /// neither.
     #[test]
     fn misses_are_drift_jumps_or_new_clocks() {
         assert_eq!(jump_m(1_500.0, 1.0), Some(0.0));

@@ -1,4 +1,5 @@
-//! The satellites of an epoch, and its pseudorange factors: which signals are direct or reflected.
+//! The satellites of an epoch, and its pseudorange factors with the probability that a signal is
+//! direct.
 
 use crate::gnss::{Constellation, Ecef, EphemerisIssue, GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{Kernel, Law, Row};
@@ -218,7 +219,7 @@ impl Ranging {
         }
     }
 
-    /// Measured less predicted (m).
+    /// Measured minus predicted pseudorange (m).
     pub(super) fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
         let row = self.linearize(lines, state, biases_m);
         -row.residual / self.factor.inverse_sigma
@@ -237,8 +238,8 @@ pub(super) struct SeenRanges<'a> {
 impl SeenRanges<'_> {
     /// Finds the clock, and the biases that begin, from the medians of the pseudoranges.
     ///
-    /// Returns measured less predicted clock (m), if there is a pseudorange that determines it. The
-    /// biases of constellations that begin are added to `biases_m` and `begun`, and `begins` is
+    /// Returns measured minus predicted clock (m), if there is a pseudorange that determines it.
+    /// The biases of constellations that begin are added to `biases_m` and `begun`, and `begins` is
     /// called with the index and value of each. If no clock is known yet, the first constellation's
     /// clock replaces that of the reference.
     pub(super) fn settle_clock(
@@ -265,7 +266,7 @@ impl SeenRanges<'_> {
         clock_m
     }
 
-    /// Median of measured less predicted pseudoranges (m) for which `is_wanted` is true.
+    /// Median of measured minus predicted pseudoranges (m) for which `is_wanted` is true.
     fn median_miss_m(
         &self,
         is_wanted: impl Fn(&&Ranging) -> bool,

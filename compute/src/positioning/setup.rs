@@ -73,7 +73,8 @@ impl Setup {
         }
     }
 
-    /// Errors of orbits and clocks cancel: the pseudoranges of the base have the same ones.
+    /// The setup of such a receiver: errors of orbits and clocks cancel, as the base has the same
+    /// ones.
     fn corrected(options: &PositioningOptions) -> Self {
         let mut options = PositioningOptions { mode: Mode::Fgo, ..options.clone() };
         options.graph.orbit_clock_sigma_m = 0.0;

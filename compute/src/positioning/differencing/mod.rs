@@ -64,13 +64,13 @@ pub(super) struct RangeRate {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct CommonSatellite {
     pub(super) satellite: SatelliteId,
-    /// At the transmission of what the rover received.
+    /// State at the transmission of the signal that the rover received.
     pub(super) state: SatelliteState,
-    /// −λD + c·δṫˢ of the rover's strongest signal of those both receive.
+    /// −λD + c·δṫˢ by the rover's least noisy Doppler shift, of the signals that both receive.
     pub(super) range_rate: Option<RangeRate>,
-    /// From the rover.
+    /// Direction from the rover.
     pub(super) look: LookAngles,
-    /// Of the rover's strongest signal of those both receive (dB-Hz).
+    /// C/N0 of the rover's strongest signal, of those that both receive (dB-Hz).
     pub(super) cn0_db_hz: Option<f64>,
     pub(super) ephemeris: EphemerisIssue,
     /// The rover's pseudorange without satellite clock and troposphere (m): ρ + c·δt_r + I.
@@ -140,7 +140,7 @@ impl SingleDifference {
 pub(super) struct BaseSide<'a> {
     pub(super) station: &'a BaseStation,
     pub(super) epoch: &'a Epoch,
-    /// Of the rover.
+    /// C/N0 levels of the rover's signals.
     pub(super) levels: &'a SignalLevels,
 }
 

@@ -69,7 +69,7 @@ impl DopplerFactor {
         }
     }
 
-    /// The same on the velocity alone, the drift shared by all satellites and eliminated.
+    /// The same on the velocity alone. The drift is the offset that all satellites share.
     pub(crate) fn linearize_sharing(&self, velocity: &Vector3<f64>) -> SharingRow<3> {
         let (g, w) = (&self.slope, self.inverse_sigma);
         let row = Row {

@@ -51,7 +51,7 @@ mod tests {
         FACTOR.linearize(&line, state, bias_m)
     }
 
-    /// The 3-4-5 line of `models::geometry`: 25 000 km less 25.540 m; clock 30 m, bias 2 m.
+    /// The 3-4-5 line of `models::geometry`: 25 000 km minus 25.540 m; clock 30 m, bias 2 m.
     #[test]
     fn a_residual_worked_by_hand() {
         let frame = LocalFrame::at(Ecef::new(6e6, 1e6, 0.0));

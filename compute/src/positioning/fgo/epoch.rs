@@ -45,7 +45,7 @@ pub(super) enum Tie {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Miss {
     pub(super) satellite: SatelliteId,
-    /// Measured less predicted (m).
+    /// Measured minus predicted (m).
     pub(super) residual_m: f64,
     /// Index of its epoch in the window, and of the range there.
     pub(super) range: (usize, usize),

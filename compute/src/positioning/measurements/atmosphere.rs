@@ -22,7 +22,7 @@ use super::{Measurement, SecondFrequency};
 /// Relative humidity of the standard atmosphere, 0 … 1; RTKLIB's `REL_HUMI`.
 pub(crate) const RELATIVE_HUMIDITY: f64 = 0.7;
 
-/// The atmosphere above one place at one time.
+/// The atmosphere above one position at one time.
 pub(super) struct Atmosphere<'a> {
     frame: LocalFrame,
     geodetic: Geodetic,

@@ -188,7 +188,7 @@ fn clock_m(
     sum_m / f64::from(count.max(1))
 }
 
-/// Whether a reason says why an epoch is not fixed.
+/// Whether a reason states why an epoch is not fixed.
 pub(crate) fn keeps_from_fixing(reason: &Reason) -> bool {
     matches!(
         reason,

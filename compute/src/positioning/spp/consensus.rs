@@ -59,7 +59,7 @@ struct Miss {
     index: usize,
     /// Index of its clock.
     clock: usize,
-    /// Measured less range and known bias (m).
+    /// Measured minus range and known bias (m).
     miss_m: f64,
     /// Tolerance against its clock, in addition to W (m).
     slack_m: f64,
@@ -79,7 +79,7 @@ impl Search {
         if self.known.is_some() { 0 } else { constellation.index() }
     }
 
-    /// Collects the residuals of `ranges` (measurement, measured less range), sorted by clock and
+    /// Collects the residuals of `ranges` (measurement, measured minus range), sorted by clock and
     /// size.
     fn collect(&mut self, ranges: impl Iterator<Item = (usize, Constellation, f64)>) {
         self.misses.clear();

@@ -193,7 +193,7 @@ impl Step {
         clocks
     }
 
-    /// Measurements less unknowns.
+    /// Number of measurements minus number of unknowns.
     pub(crate) fn degrees(&self) -> usize {
         let (rows, clocks) = self.counts();
         let known = self.tied.map_or(0, |tied| tied.known);

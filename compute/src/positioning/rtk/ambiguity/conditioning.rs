@@ -104,7 +104,7 @@ mod tests {
     const N: usize = 7;
 
     /// Ambiguities that an east shift moves by −2 cycles/m. Their σ is 0.3 m along that direction
-    /// and `sigma` across it. They are at the integers k², less the effect of an east shift of
+    /// and `sigma` across it. They are at the integers k², minus the effect of an east shift of
     /// `off_m`.
     fn float(off_m: f64, sigma: f64) -> FloatSolution {
         let mut covariance = DMatrix::identity(3 + N, 3 + N) * sigma * sigma;

@@ -178,7 +178,7 @@ pub(crate) fn position_from_fixed_phases(
 
 /// Subtracts the integers of the newest datum from the rows of one group and drops the other rows.
 /// The cycles of the datum are unknown. Where wavelengths differ they are not an offset, so they
-/// are set to the mean of the float ambiguities less their integers.
+/// are set to the mean of the float ambiguities minus their integers.
 pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<SharingRow<3>>) {
     let held = |row: &SharingRow<3>| {
         let (variable, _) = row.border?;

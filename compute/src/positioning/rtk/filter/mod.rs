@@ -1,4 +1,4 @@
-//! The filter on differences against a base: each epoch answered as it comes.
+//! The filter on differences against a base: each epoch is answered at once and never revised.
 
 mod gaussian;
 mod solver;

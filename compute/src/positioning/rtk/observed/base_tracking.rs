@@ -54,9 +54,9 @@ pub(crate) struct Intake {
 #[derive(Debug, Default)]
 pub(crate) struct BaseTracking {
     base: BaseMemory,
-    /// Of the rover.
+    /// C/N0 levels of the rover's signals.
     levels: SignalLevels,
-    /// Of the rover.
+    /// Losses of lock at the rover.
     locks: LockWatch,
     /// Time of the newest epoch answered.
     last: Option<GpsTime>,

@@ -25,7 +25,7 @@ pub(crate) struct CodeBias {
     satellite: SatelliteId,
     /// Codes at rover and base.
     codes: [ObservationCode; 2],
-    /// Rover less base (m).
+    /// Rover minus base (m).
     pub(crate) bias_m: f64,
     /// (m²).
     pub(crate) variance_m2: f64,

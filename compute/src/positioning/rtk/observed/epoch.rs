@@ -92,7 +92,7 @@ pub(crate) struct AmbiguityStart {
 pub(crate) struct AmbiguityTie {
     /// Border variables, the earlier arc first.
     pub(crate) variables: [usize; 2],
-    /// Later less earlier ambiguity (cycles).
+    /// Later minus earlier ambiguity (cycles).
     pub(crate) step: f64,
 }
 
