@@ -476,8 +476,8 @@ fn integers_of_glonass_are_found() {
     }
 }
 
-/// Of each epoch one pseudorange is a millisecond off: no fix is lost, and the position is the same
-/// to a millimetre.
+/// Of each epoch one pseudorange is a millisecond off: no fix is lost, the position is the same to
+/// a millimetre, and the time of reception to a tenth of a microsecond.
 #[test]
 fn a_wild_pseudorange_costs_no_fix() {
     let mut turn = 0;
@@ -494,6 +494,9 @@ fn a_wild_pseudorange_costs_no_fix() {
         let place = |solution: &Solution| solution.estimate.as_ref().unwrap().position;
         let apart_m = place(a).distance_m(place(b));
         assert!(apart_m < 1e-3, "{:?}: {apart_m} m apart", a.time);
+        let received = |solution: &Solution| solution.estimate.as_ref().unwrap().reception_time;
+        let apart_s = received(a) - received(b);
+        assert!(apart_s.abs() < 1e-7, "{:?}: {apart_s} s apart", a.time);
     }
 }
 

@@ -62,16 +62,16 @@ impl Answer<'_> {
         );
         let formal = covariance.fixed_view::<3, 3>(0, 0).into_owned();
         let weighted = ranges.iter().zip(weights.iter().copied());
-        let place = self.errors.covariance(&formal, lines, weighted);
+        let position_covariance = self.errors.covariance(&formal, lines, weighted);
         let to_ecef = |c: &Matrix3<f64>| frame.rotation.transpose() * c * frame.rotation;
-        let pace = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
+        let velocity_covariance = covariance.fixed_view::<3, 3>(VELOCITY, VELOCITY).into_owned();
         let (clock_m, inter_system_biases_m) = clocks(ranges, self.biases_m, state[CLOCK]);
         let estimate = SolutionEstimate {
             position: frame.to_ecef(Enu(position(state))),
-            covariance: to_ecef(&place),
+            covariance: to_ecef(&position_covariance),
             velocity: self.has_velocity.then(|| Velocity {
                 velocity_m_s: frame.rotation.transpose() * velocity(state),
-                covariance: to_ecef(&pace),
+                covariance: to_ecef(&velocity_covariance),
                 clock_drift_m_s: state[DRIFT],
             }),
             clock_m,

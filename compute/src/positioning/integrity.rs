@@ -61,8 +61,9 @@ pub(super) fn complete_all(solutions: &mut [Solution], options: &IntegrityOption
 /// Levels of a reported covariance; `None` if it gives no bound.
 fn of_covariance(status: Status, estimate: &SolutionEstimate, risk: f64) -> Option<Protection> {
     let integers = estimate.relative.as_ref().filter(|_| status == Status::Fixed);
-    let doubt = integers.and_then(|relative| relative.fix_probability).map_or(0.0, |p| 1.0 - p);
-    if risk < doubt {
+    let wrong_probability =
+        integers.and_then(|relative| relative.fix_probability).map_or(0.0, |p| 1.0 - p);
+    if risk < wrong_probability {
         return None;
     }
     let enu = LocalFrame::at(estimate.position).covariance_to_enu(&estimate.covariance);

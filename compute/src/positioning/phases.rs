@@ -268,8 +268,8 @@ mod tests {
             corrected_range_m: 2e7,
             variance_m2: 1.0,
             group_delay_m2: 0.0,
-            ionosphere_share_m: 0.0,
-            troposphere_share_m: 0.0,
+            ionosphere_sigma_m: 0.0,
+            troposphere_sigma_m: 0.0,
             is_above_mask: true,
             is_excluded: false,
         }

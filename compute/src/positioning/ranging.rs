@@ -69,12 +69,12 @@ pub(super) struct Ranging {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Reflection {
     /// Probability that it is a reflection.
-    pub(super) chance: f64,
+    pub(super) reflected_probability: f64,
     /// Its error model before anything was learnt about the receiver.
     pub(super) before_learning: CodeError,
 }
 
-snapshot_fields!(Reflection { chance, before_learning });
+snapshot_fields!(Reflection { reflected_probability, before_learning });
 
 /// A pseudorange as a row of the normal equations: the weight and the residual of a quadratic loss
 /// with the same slope.
@@ -131,8 +131,8 @@ impl Ranging {
             toe: measurement.ephemeris.toe,
             issue: measurement.ephemeris.issue,
             bias,
-            ionosphere_m: measurement.ionosphere_share_m,
-            troposphere_m: measurement.troposphere_share_m,
+            ionosphere_m: measurement.ionosphere_sigma_m,
+            troposphere_m: measurement.troposphere_sigma_m,
             reflection: None,
         }
     }
@@ -156,7 +156,8 @@ impl Ranging {
     /// Sets the error model, and the one before anything was learnt.
     pub(super) fn follow(&mut self, error: CodeError, before_learning: CodeError) {
         self.factor.inverse_sigma = error.sigma_m.recip();
-        self.reflection = Some(Reflection { chance: error.reflected, before_learning });
+        self.reflection =
+            Some(Reflection { reflected_probability: error.reflected, before_learning });
     }
 
     /// The error model, if one is set.
@@ -164,7 +165,7 @@ impl Ranging {
         let sigma_m = self.factor.inverse_sigma.recip();
         self.reflection.map(|reflection| CodeError {
             sigma_m,
-            reflected: reflection.chance,
+            reflected: reflection.reflected_probability,
             ..reflection.before_learning
         })
     }
@@ -196,9 +197,9 @@ impl Ranging {
 
     /// Its error model, if one is set, ready to be evaluated.
     fn likelihood(&self) -> Option<Likelihood> {
-        let Reflection { chance, before_learning } = self.reflection?;
+        let Reflection { reflected_probability, before_learning } = self.reflection?;
         let per_sigma_m = self.factor.inverse_sigma;
-        Some(Likelihood::new(per_sigma_m, chance, before_learning.extra_path_m))
+        Some(Likelihood::new(per_sigma_m, reflected_probability, before_learning.extra_path_m))
     }
 
     /// Its contribution to the noise, with the error model that [`Self::judge`] uses.

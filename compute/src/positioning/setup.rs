@@ -94,7 +94,7 @@ pub(super) struct Kernels {
     pub(super) doppler: Kernel,
     pub(super) phase: Kernel,
     /// Whether Doppler and phase are weighted by the probability that the pseudorange is direct.
-    pub(super) follow_code: bool,
+    pub(super) weighted_by_pseudorange: bool,
 }
 
 /// Robust kernels by kind of measurement, with the convex ones of the first stage.
@@ -103,7 +103,7 @@ pub(super) struct AnnealedKernels {
     pub(super) pseudorange: AnnealedKernel,
     doppler: Kernel,
     phase: AnnealedKernel,
-    follow_code: bool,
+    weighted_by_pseudorange: bool,
 }
 
 impl AnnealedKernels {
@@ -113,7 +113,7 @@ impl AnnealedKernels {
             pseudorange: self.pseudorange.at(phase),
             doppler: self.doppler,
             phase: self.phase.at(phase),
-            follow_code: self.follow_code,
+            weighted_by_pseudorange: self.weighted_by_pseudorange,
         }
     }
 
@@ -148,7 +148,7 @@ impl GraphSettings {
             pseudorange: AnnealedKernel { convex, target },
             doppler: Kernel::cauchy(options.doppler_width),
             phase: annealed(Kernel::geman_mcclure(options.phase_width)),
-            follow_code: false,
+            weighted_by_pseudorange: false,
         };
         let solve = |schedule, tolerance| OptimizerOptions { schedule, tolerance, damping: 0.0 };
         // Redescending kernels have many minima: the solve is annealed.
@@ -178,7 +178,7 @@ impl GraphSettings {
                 pseudorange: AnnealedKernel { convex: opening, target: Kernel::QUADRATIC },
                 doppler: student(),
                 phase: AnnealedKernel { convex: opening, target: student() },
-                follow_code: true,
+                weighted_by_pseudorange: true,
             },
             update: solve(Schedule::direct(3).while_far(FURTHER)),
             whole: solve(Schedule::graduated(2, 1.0, 2.0, 1, 12)),
@@ -192,7 +192,7 @@ impl GraphSettings {
                 pseudorange: annealed(Kernel::geman_mcclure(3.0)),
                 doppler: Kernel::cauchy(options.doppler_width),
                 phase: annealed(CARRIER_KERNEL),
-                follow_code: false,
+                weighted_by_pseudorange: false,
             },
             update: solve(Schedule::graduated(1, 1.0, 2.0, 1, 3)),
             whole: solve(Schedule::graduated(4, 8.0, 2.0, 1, 4)),

@@ -95,7 +95,7 @@ struct Clock {
     /// In pseudoranges (m).
     code_m: f64,
     /// Pseudorange clock less carrier-phase clock (m).
-    code_less_phase_m: f64,
+    code_minus_phase_m: f64,
     /// In Dopplers (m/s).
     drift_m_s: f64,
 }
@@ -242,7 +242,7 @@ impl Receiver {
         let steered_m = SPEED_OF_LIGHT * self.steering_s;
         let clock = Clock {
             code_m: self.clock_m + steered_m,
-            code_less_phase_m: if self.clock_options.phase_follows_tag { 0.0 } else { steered_m },
+            code_minus_phase_m: if self.clock_options.phase_follows_tag { 0.0 } else { steered_m },
             drift_m_s: self.drift_m_s,
         };
         for (index, code) in scenario.signals(satellite.constellation).enumerate() {
@@ -338,7 +338,7 @@ impl Sky<'_> {
             wavelength_m,
             code_scale: if code.band_digit() == FAST_CODE_BAND { FAST_CODE_SCALE } else { 1.0 },
             pseudorange_m: common_m + ionosphere_m + group_delay_m,
-            phase_m: phase_m - clock.code_less_phase_m,
+            phase_m: phase_m - clock.code_minus_phase_m,
             doppler_m_s: -(path.rate_m_s + clock.drift_m_s - path.state.clock_drift_m_s),
         }
     }

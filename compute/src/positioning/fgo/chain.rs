@@ -395,8 +395,10 @@ impl Chain {
         for (epoch, state) in self.epochs.iter_mut().zip(states) {
             epoch.factors.see(state, lines);
             epoch.residuals = epoch.factors.residuals(lines, state, border, &kernel);
-            // With `follow_code`, the search for other positions proves the position instead.
-            self.is_proven |= !settings.kernels.last().follow_code && epoch.residuals.agree();
+            // With `weighted_by_pseudorange`, the search for other positions proves the position
+            // instead.
+            self.is_proven |=
+                !settings.kernels.last().weighted_by_pseudorange && epoch.residuals.agree();
         }
     }
 

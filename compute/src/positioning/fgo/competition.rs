@@ -62,7 +62,9 @@ impl Chain {
         };
         let by_m = offset.position_m();
         (0..3).for_each(|axis| state[axis] += by_m[axis]);
-        state[CLOCK] += offset.clock_m(Constellation::Gps);
+        // The biases are those of all epochs, so they stay: the clock moves by one of its offsets.
+        let first = pool.iter().map(|pooled| pooled.satellite.constellation).min();
+        state[CLOCK] += first.map_or(0.0, |constellation| offset.clock_m(constellation));
         true
     }
 

@@ -124,7 +124,7 @@ impl GraphEpoch {
         let mut sum = RowSum::ZERO;
         for rate in &factors.rates {
             let row = rate.linearize(state);
-            let direct = match kernels.follow_code {
+            let direct = match kernels.weighted_by_pseudorange {
                 true => seen.phase_weights[usize::from(rate.sight)],
                 false => 1.0,
             };
@@ -310,7 +310,7 @@ impl Factors {
         phases.clear();
         phases.extend(self.phases.iter().map(|phase| {
             let mut direct = phase_weights[usize::from(phase.after)];
-            if kernels.follow_code {
+            if kernels.weighted_by_pseudorange {
                 direct = direct.min(before.phase_weights[usize::from(phase.before)]);
             }
             SeenPhase { link: link(phase), inverse_sigma: phase.inverse_sigma, direct }

@@ -112,7 +112,7 @@ impl<'a> Atmosphere<'a> {
             }
             None => (0.0, 0.0),
         };
-        let (range_m, variance_m2, ionosphere_share_m) = match &measurement.second {
+        let (range_m, variance_m2, ionosphere_sigma_m) = match &measurement.second {
             Some(second) if options.ionosphere != IonosphereModel::None => {
                 dual_frequency_range(measurement, second, biases.of(measurement, second))
             }
@@ -132,8 +132,8 @@ impl<'a> Atmosphere<'a> {
                 variance_m2 + satellite_m2 + troposphere_m2
             }
         };
-        measurement.ionosphere_share_m = ionosphere_share_m;
-        measurement.troposphere_share_m = troposphere_m2.sqrt();
+        measurement.ionosphere_sigma_m = ionosphere_sigma_m;
+        measurement.troposphere_sigma_m = troposphere_m2.sqrt();
     }
 
     /// Receiver noise and multipath of the main signal (m²).

@@ -102,9 +102,9 @@ pub struct Measurement {
     /// Variance of `corrected_range_m` (m²).
     pub variance_m2: f64,
     /// Standard deviation of `corrected_range_m` due to the ionosphere model (m).
-    pub ionosphere_share_m: f64,
+    pub ionosphere_sigma_m: f64,
     /// Standard deviation of `corrected_range_m` due to the troposphere model (m).
-    pub troposphere_share_m: f64,
+    pub troposphere_sigma_m: f64,
     /// Whether the satellite is above the elevation mask.
     pub is_above_mask: bool,
     /// Whether the satellite is excluded because it contradicts the others.
@@ -186,8 +186,8 @@ impl Measurements {
                 Some(range_m) => {
                     measurement.corrected_range_m = range_m;
                     measurement.variance_m2 = measurement.noise_m2;
-                    measurement.ionosphere_share_m = 0.0;
-                    measurement.troposphere_share_m = 0.0;
+                    measurement.ionosphere_sigma_m = 0.0;
+                    measurement.troposphere_sigma_m = 0.0;
                 }
                 None => measurement.is_excluded = true,
             }
@@ -297,8 +297,8 @@ fn measurement(
         troposphere_m: 0.0,
         corrected_range_m: 0.0,
         variance_m2: f64::INFINITY,
-        ionosphere_share_m: 0.0,
-        troposphere_share_m: 0.0,
+        ionosphere_sigma_m: 0.0,
+        troposphere_sigma_m: 0.0,
         is_above_mask: false,
         is_excluded: false,
     })

@@ -69,7 +69,7 @@ impl Signal {
         Self {
             cn0_db_hz: measurement.cn0_db_hz,
             elevation_rad: measurement.look.elevation_rad,
-            model_m: (measurement.ionosphere_share_m - common_m)
+            model_m: (measurement.ionosphere_sigma_m - common_m)
                 .max(0.0)
                 .hypot(measurement.group_delay_m2.sqrt()),
         }
@@ -80,7 +80,7 @@ impl Signal {
 /// error goes into the clock.
 pub(in crate::positioning) fn common_ionosphere_m(list: &[Measurement]) -> f64 {
     let used = list.iter().filter(|m| m.is_above_mask);
-    used.map(|m| m.ionosphere_share_m).fold(f64::INFINITY, f64::min)
+    used.map(|m| m.ionosphere_sigma_m).fold(f64::INFINITY, f64::min)
 }
 
 /// A pseudorange residual with the properties that its noise depends on.

@@ -114,16 +114,7 @@ impl Watch {
         unproven_s: Option<f64>,
     ) -> Verdict {
         self.searched = Some(now);
-        let mut pool = window.to_vec();
-        if POOL_S <= self.unpooled_s(now) {
-            self.earlier.swap(0, 1);
-            self.earlier[0].clear();
-            self.earlier[0].extend_from_slice(window);
-            self.pooled = Some(now);
-        } else {
-            pool.extend_from_slice(&self.earlier[0]);
-        }
-        pool.extend_from_slice(&self.earlier[1]);
+        let mut pool = self.pool_with(now, window);
         pool.iter_mut().for_each(|pooled| pooled.independent *= OF_ONE_POOL);
         let settled = self.settled(now);
         let knowledge = Knowledge { bias_sigma_m: self.bias_sigma_m(now), settled };
@@ -140,6 +131,20 @@ impl Watch {
         }
     }
 
+    /// The residuals of the window and of the two pools before it. A window of a pool's length
+    /// becomes the newer of these pools.
+    fn pool_with(&mut self, now: GpsTime, window: &[Pooled]) -> Vec<Pooled> {
+        let [newer, older] = &self.earlier;
+        let pool = [window, newer, older].concat();
+        if POOL_S <= self.unpooled_s(now) {
+            self.earlier.swap(0, 1);
+            self.earlier[0].clear();
+            self.earlier[0].extend_from_slice(window);
+            self.pooled = Some(now);
+        }
+        pool
+    }
+
     /// Corrects the pooled residuals for a move of the position.
     pub(crate) fn follow(&mut self, offset: &Offset) {
         for pooled in self.earlier.iter_mut().flatten() {
@@ -147,5 +152,45 @@ impl Watch {
             let along_m = pooled.slope.dot(&offset.position_m());
             pooled.residual_m -= along_m + offset.clock_m(constellation);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector3;
+
+    use super::*;
+    use crate::positioning::code_error::CodeError;
+
+    fn pooled(residual_m: f64) -> Pooled {
+        let error = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
+        Pooled {
+            satellite: "G01".parse().unwrap(),
+            slope: Vector3::z(),
+            residual_m,
+            error,
+            before_learning: error,
+            independent: 1.0,
+        }
+    }
+
+    /// Every two seconds a search, every ten a pool: each search has the window and the last two
+    /// pools, also the one at which a pool is full.
+    #[test]
+    fn each_search_has_the_residuals_of_three_pools() {
+        let mut watch = Watch::default();
+        let now = |s: f64| GpsTime::EPOCH + s;
+        assert!(watch.is_due(now(0.0), None));
+        let mut seen = Vec::new();
+        for search in 1..=16 {
+            let time = now(2.0 * f64::from(search));
+            let pool = watch.pool_with(time, &[pooled(f64::from(search))]);
+            seen.push(pool.iter().map(|pooled| pooled.residual_m).collect::<Vec<_>>());
+        }
+        assert_eq!(seen[3..6], [vec![4.0], vec![5.0], vec![6.0, 5.0]]);
+        assert_eq!(
+            seen[13..],
+            [vec![14.0, 10.0, 5.0], vec![15.0, 10.0, 5.0], vec![16.0, 15.0, 10.0]]
+        );
     }
 }

@@ -12,6 +12,7 @@ use crate::graph::shared_offset;
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::geometry::{Geometry, UNDETERMINED};
+use crate::positioning::median::median;
 use crate::positioning::setup::OFFSET_KERNEL;
 
 use super::ambiguity::Resolution;
@@ -63,7 +64,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
             (Status::Float, local, uncertainty, 0, None)
         }
     };
-    reasons.extend(base.doubt);
+    reasons.extend(base.position_warning);
     let position = frame.to_ecef(Enu(local));
     let baseline_m = position.0 - base.station.antenna_reference_point.0;
     let uncertainty = uncertainty + gradient_covariance(parts.options, baseline_m.norm());
@@ -168,24 +169,23 @@ fn clock_drift_m_s(epoch: &RtkEpoch, velocity: &Vector3<f64>) -> f64 {
     shared_offset(&rows, &OFFSET_KERNEL, &mut Vec::new())
 }
 
-/// The rover's clock (m), from the mean of the first constellation's pseudoranges; it includes the
-/// ionospheric delay, which differences cancel.
+/// The rover's clock (m): the median of the first constellation's pseudoranges less the ranges, so
+/// that a wild pseudorange does not shift it. It includes the ionospheric delay, which differences
+/// cancel.
 fn clock_m(
     epoch: &RtkEpoch,
     differences: &SingleDifferences,
     used: &[usize],
     local: &Vector3<f64>,
 ) -> f64 {
-    let constellation = |c: &&usize| differences.satellites[**c].satellite.constellation;
-    let Some(first) = used.iter().map(|c| constellation(&c)).min() else { return 0.0 };
-    let mut count = 0;
-    let mut sum_m = 0.0;
-    for &common in used.iter().filter(|c| constellation(c) == first) {
+    let constellation = |common: usize| differences.satellites[common].satellite.constellation;
+    let first = used.iter().map(|&common| constellation(common)).min();
+    let of_first = used.iter().filter(|&&common| Some(constellation(common)) == first);
+    let clock_m = |&common: &usize| {
         let (range_m, _) = epoch.sights[common].range(local);
-        sum_m += differences.satellites[common].rover_range_m - range_m;
-        count += 1;
-    }
-    sum_m / f64::from(count.max(1))
+        differences.satellites[common].rover_range_m - range_m
+    };
+    median(&mut of_first.map(clock_m).collect::<Vec<_>>()).unwrap_or(0.0)
 }
 
 /// Whether a reason states why an epoch is not fixed.

@@ -35,7 +35,7 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
     type Scratch: Default + Debug;
 
     /// Whether its positions without integers are tested against rival positions.
-    const DOUBTS: bool = true;
+    const TESTS_RIVALS: bool = true;
 
     /// Whether a chain without ambiguities accompanies the epochs without integers.
     const IS_ACCOMPANIED: bool = false;
@@ -410,7 +410,7 @@ impl<S: RelativeSolver> Relative<S> {
         is_single_epoch: bool,
         scratch: &mut RelativeScratch<S>,
     ) {
-        if resolved.resolution.outcome.is_ok() || is_single_epoch || !S::DOUBTS {
+        if resolved.resolution.outcome.is_ok() || is_single_epoch || !S::TESTS_RIVALS {
             self.watch = PseudorangeWatch::default();
             return;
         }

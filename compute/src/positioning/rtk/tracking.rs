@@ -158,7 +158,7 @@ impl Tracking {
         if was_confirmed && !confirmation.is_confirmed() {
             hold.drop_all(arcs, true);
         }
-        hold.was_held |= confirmation.is_confirmed();
+        hold.was_confirmed |= confirmation.is_confirmed();
         let is_repeated = FOUND_EPOCHS <= hold.consecutive_epochs;
         confirmation.is_confirmed() && (is_repeated || NEARLY_CERTAIN <= probability)
     }

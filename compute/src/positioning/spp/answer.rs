@@ -22,8 +22,8 @@ impl SinglePoint {
         let position = fit.position();
         let dops = self.dops(frame).ok_or(Reason::GeometryTooWeak { gdop: f64::INFINITY })?;
         // If clocks are tied and there is a residual test, the covariance shows a weak geometry.
-        let agrees = fit.step.is_tied() && fit.test_ratio.is_some();
-        if options.gdop_limit < dops.gdop && !agrees {
+        let is_tested = fit.step.is_tied() && fit.test_ratio.is_some();
+        if options.gdop_limit < dops.gdop && !is_tested {
             return Err(Reason::GeometryTooWeak { gdop: dops.gdop });
         }
         let (clock_m, inter_system_biases_m) = clocks(&fit.step);

@@ -204,12 +204,13 @@ pub(crate) fn subtract_integers(arcs: &Arcs, border: &[f64], rows: &mut Vec<Shar
     });
 }
 
-/// The phases with integers of each group, linearised at a position. If `proven_count`, the proven
-/// integers have already given a position: their phases then lose the information that it contains.
+/// The phases with integers of each group, linearised at a position. If `has_proven_position`, the
+/// proven integers have already given a position: their phases then lose the information that it
+/// contains.
 fn phases(
     fixed: &FixedEpoch<'_>,
     position: &Vector3<f64>,
-    proven_count: bool,
+    has_proven_position: bool,
     scratch: &mut RowScratch,
 ) -> Vec<Vec<Phase>> {
     let FixedEpoch { epoch, border, arcs } = *fixed;
@@ -226,7 +227,7 @@ fn phases(
             let is_its = |ambiguity: EpochAmbiguity| ambiguity.variable == variable;
             let factor = factors.iter().find(|factor| factor.ambiguity.is_some_and(is_its))?;
             let is_proven =
-                |arc: &CarrierArc| arc.variable == variable && arc.is_proven && proven_count;
+                |arc: &CarrierArc| arc.variable == variable && arc.is_proven && has_proven_position;
             let independent_share = match arcs.list().iter().any(is_proven) {
                 true => 1.0 - factor.independent_share,
                 false => 1.0,
@@ -412,7 +413,7 @@ mod tests {
                 epochs: 9,
                 half_cycle: false,
                 elevation_rad: elevation,
-                code_less_phase_m: None,
+                code_minus_phase_m: None,
                 held: Some(HeldInteger { datum: 1, cycles: 3 * k as i64 }),
                 found: 1,
                 is_proven: true,

@@ -27,7 +27,7 @@ pub(crate) struct HoldState {
     /// The last period whose integers were found to be wrong.
     pub(crate) refuted: Option<u32>,
     /// Whether the integers have been confirmed in this period.
-    pub(crate) was_held: bool,
+    pub(crate) was_confirmed: bool,
     /// Number of datums so far.
     pub(crate) datums: u32,
 }
@@ -40,7 +40,7 @@ snapshot_fields!(HoldState {
     success_rate,
     period,
     refuted,
-    was_held,
+    was_confirmed,
     datums,
 });
 

@@ -22,7 +22,7 @@ struct KnownInteger {
 pub(crate) struct HoldPeriod {
     pub(crate) number: u32,
     /// Whether the integers were confirmed in this period.
-    pub(crate) was_held: bool,
+    pub(crate) was_confirmed: bool,
     /// Whether the integers were found to be wrong.
     is_refuted: bool,
     pub(crate) probability: f64,
@@ -44,7 +44,7 @@ pub(crate) struct IntegerHistory {
 snapshot_fields!(KnownInteger { serial, held, period, last });
 snapshot_fields!(HoldPeriod {
     number,
-    was_held,
+    was_confirmed,
     is_refuted,
     probability,
     reliability,
@@ -67,7 +67,7 @@ impl IntegerHistory {
         }
         let period = HoldPeriod {
             number: hold.period,
-            was_held: hold.was_held,
+            was_confirmed: hold.was_confirmed,
             is_refuted: false,
             probability: hold.probability,
             reliability: hold.reliability,
@@ -148,7 +148,7 @@ mod tests {
             epochs: 1,
             half_cycle: false,
             elevation_rad: 1.0,
-            code_less_phase_m: None,
+            code_minus_phase_m: None,
             held: held.map(|(datum, cycles)| HeldInteger { datum, cycles }),
             found: 1,
             is_proven: true,
@@ -163,7 +163,7 @@ mod tests {
     #[test]
     fn the_fullest_period_comes_first_until_it_is_refuted() {
         let mut history = IntegerHistory::default();
-        let mut hold = HoldState { was_held: true, ..HoldState::default() };
+        let mut hold = HoldState { was_confirmed: true, ..HoldState::default() };
         history.learn(&[1, 2, 3].map(|serial| arc(serial, Some((1, 10)), 0.0)), &hold);
         hold.period = 1;
         history.learn(&[2, 3].map(|serial| arc(serial, Some((2, 20)), 1.0)), &hold);

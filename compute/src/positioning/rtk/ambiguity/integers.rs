@@ -79,7 +79,7 @@ struct Judgement<'a> {
     hold_epochs: u32,
     /// Whether integers were held. Once all ambiguities are searched, the float solution no longer
     /// agrees with them.
-    were_held: bool,
+    were_confirmed: bool,
 }
 
 impl Judgement<'_> {
@@ -135,20 +135,22 @@ impl IntegerSearch {
         }
         let joint = self.differences.joint(float);
         let lambda = lambda_options(options, noise.scale);
-        let were_held = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
+        let were_confirmed = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
         let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_held };
+        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_confirmed };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         let of_held = Judgement { options: &held, ..judgement };
-        if were_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
+        if were_confirmed && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held)
+        {
             return resolution;
         }
         let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
-        if resolution.outcome.is_err() && !were_held {
+        if resolution.outcome.is_err() && !were_confirmed {
             hold.missed();
         }
         // Held integers that no longer agree count as wrong only if others are found.
-        if were_held && hold_epochs <= hold.consecutive_epochs {
+        let were_found = resolution.outcome.is_ok();
+        if were_confirmed && !were_found && hold_epochs <= hold.consecutive_epochs {
             hold.drop_all(arcs, false);
         }
         resolution
@@ -278,7 +280,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, were_held, .. } = *judgement;
+        let Judgement { options, odds_divisor, were_confirmed, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -306,7 +308,7 @@ impl IntegerSearch {
                 hold.drop_all(arcs, true);
                 return resolution;
             }
-            if were_held {
+            if were_confirmed {
                 hold.drop_all(arcs, false);
             }
             let proven_after = judgement.proven_after(probability);
@@ -420,7 +422,7 @@ mod tests {
             epochs: 5,
             half_cycle: false,
             elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },
-            code_less_phase_m: None,
+            code_minus_phase_m: None,
             held: None,
             found: 0,
             is_proven: false,
@@ -468,6 +470,23 @@ mod tests {
         for (index, cycles) in integers.enumerate() {
             arcs.find(index, HeldInteger { datum: 1, cycles }, 1);
         }
+    }
+
+    /// Two of the held integers are left, which are too few. All are found again, and kept also
+    /// where one epoch proves them.
+    #[test]
+    fn integers_that_are_found_again_are_kept() {
+        let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
+        options.rtk.hold_epochs = 1;
+        let mut arcs = arcs(0);
+        hold_all(&mut arcs, [0, 1].into_iter());
+        let mut hold = HoldState { consecutive_epochs: 1, datums: 1, ..HoldState::default() };
+        let noise = Receivers::new().known_noise(&Residuals::NONE);
+        let (time, float) = (GpsTime::EPOCH, &float());
+        let question = IntegerQuestion { time, float, noise, options: &options.rtk };
+        let found = IntegerSearch::default().resolve(&mut arcs, &mut hold, &question, true);
+        assert!(found.outcome.is_ok(), "{found:?}");
+        assert_eq!(arcs.list().iter().filter(|arc| arc.held.is_some()).count(), N);
     }
 
     /// Whichever satellite is the reference, the same integers, position and probability are found.

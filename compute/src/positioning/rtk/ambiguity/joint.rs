@@ -8,7 +8,7 @@ use super::float::FloatSolution;
 /// Prior probability that a carrier tracks a reflection or hides a slip.
 pub(crate) const FAULTY: f64 = 0.1;
 /// Above this σ (cycles) a wrapped normal is uniform to 1.4 %: the ambiguity is no evidence.
-const SILENT_CYCLES: f64 = 0.5;
+const UNINFORMATIVE_CYCLES: f64 = 0.5;
 /// Least σ of an ambiguity given the others (cycles): carrier multipath.
 const UNCERTAIN_CYCLES: f64 = 0.05;
 
@@ -85,7 +85,7 @@ pub(crate) fn bonferroni(tried: f64, probability: f64) -> f64 {
 pub(crate) fn given_unfixed_ambiguities(probability: f64, rest: &Joint) -> f64 {
     let against = |i: usize| {
         let variance = rest.covariance[(i, i)].max(UNCERTAIN_CYCLES.powi(2));
-        if SILENT_CYCLES.powi(2) < variance {
+        if UNINFORMATIVE_CYCLES.powi(2) < variance {
             return 1.0;
         }
         let beyond = rest.estimate[i] - rest.estimate[i].round();
@@ -164,7 +164,7 @@ mod tests {
     /// Of two carriers left real-valued, each known to 0.1 cycles, one agrees and one is half a
     /// cycle off: the odds 99 become 99·(0.9·f(½) + 0.1), f(½) = 2·e^(−12.5)/(0.1·√2π).
     #[test]
-    fn doubt_worked_by_hand() {
+    fn unfixed_ambiguities_lower_the_odds() {
         let mut rest = Joint { estimate: DVector::zeros(5), covariance: DMatrix::zeros(5, 5) };
         (3..5).for_each(|i| rest.covariance[(i, i)] = 0.01);
         rest.estimate[3] = 7.02;

@@ -34,7 +34,7 @@ pub(crate) struct CarrierArc {
     /// Elevation at the newest phase (rad).
     pub(crate) elevation_rad: f64,
     /// Pseudorange minus phase, when both were last measured (m).
-    pub(crate) code_less_phase_m: Option<f64>,
+    pub(crate) code_minus_phase_m: Option<f64>,
     /// Its integer, once found.
     pub(crate) held: Option<HeldInteger>,
     /// Epochs in a row whose searches have found this integer.
@@ -135,7 +135,7 @@ snapshot_fields!(CarrierArc {
     epochs,
     half_cycle,
     elevation_rad,
-    code_less_phase_m,
+    code_minus_phase_m,
     held,
     found,
     is_proven,
@@ -238,7 +238,7 @@ impl Arcs {
         lengthen_phases(differences, self.code_steps_m);
         let change_m = |difference: &SingleDifference| {
             let arc = self.list.iter().find(|arc| arc.is_of(difference))?;
-            Some(code_less_phase_m(difference)? - arc.code_less_phase_m?)
+            Some(code_minus_phase_m(difference)? - arc.code_minus_phase_m?)
         };
         let mut changes_m: Vec<f64> = differences.iter().filter_map(change_m).collect();
         let Some(middle_m) = median(&mut changes_m) else { return };
@@ -277,7 +277,7 @@ impl Arcs {
         let arc = self.list.iter_mut().find(|arc| arc.is_of(difference))?;
         let since_s = time - arc.last;
         (arc.last, arc.elevation_rad) = (time, elevation_rad);
-        arc.code_less_phase_m = code_less_phase_m(difference).or(arc.code_less_phase_m);
+        arc.code_minus_phase_m = code_minus_phase_m(difference).or(arc.code_minus_phase_m);
         arc.epochs += 1;
         Some((arc.variable, since_s))
     }
@@ -302,7 +302,7 @@ impl Arcs {
             epochs: 1,
             half_cycle: difference.half_cycle,
             elevation_rad,
-            code_less_phase_m: code_less_phase_m(difference),
+            code_minus_phase_m: code_minus_phase_m(difference),
             held: None,
             found: 0,
             is_proven: false,
@@ -373,7 +373,7 @@ impl Arcs {
     }
 }
 
-fn code_less_phase_m(difference: &SingleDifference) -> Option<f64> {
+fn code_minus_phase_m(difference: &SingleDifference) -> Option<f64> {
     Some(difference.pseudorange?.range_m - difference.carrier?.range_m)
 }
 

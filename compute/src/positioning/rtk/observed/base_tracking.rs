@@ -21,7 +21,7 @@ pub(crate) struct UsableBase<'a> {
     /// Age of its newest epoch (s).
     pub(crate) age_s: f64,
     /// Why its position is doubtful, if it is.
-    pub(crate) doubt: Option<Reason>,
+    pub(crate) position_warning: Option<Reason>,
 }
 
 /// New information about the base and about slips at an epoch.
@@ -112,14 +112,14 @@ impl BaseTracking {
         }
         let check = self.base.checked(station, single_point, inputs);
         let distance_m = check.distance_m().unwrap_or(0.0);
-        let doubt = match check.verdict() {
+        let position_warning = match check.verdict() {
             BasePositionVerdict::Unchecked | BasePositionVerdict::Agrees => None,
             BasePositionVerdict::Doubtful => Some(Reason::BasePositionDoubtful { distance_m }),
             BasePositionVerdict::Refused => {
                 return Err(Reason::BasePositionDoubtful { distance_m });
             }
         };
-        Ok(UsableBase { station, age_s, doubt })
+        Ok(UsableBase { station, age_s, position_warning })
     }
 
     /// Differences an epoch against the base; `rover` is the approximate position of the rover.

@@ -44,7 +44,7 @@ impl RelativeSolver for PaperChain {
     type Past = Option<PaperPast>;
     type Scratch = PaperScratch;
 
-    const DOUBTS: bool = false;
+    const TESTS_RIVALS: bool = false;
 
     fn new() -> Self {
         Self::empty()

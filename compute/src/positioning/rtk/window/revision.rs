@@ -63,7 +63,7 @@ impl<'a> Revision<'a> {
         let mut is_contradicted = false;
         for period in integers.not_refuted(record.arcs.iter().map(|arc| arc.serial)) {
             let is_own = period.number == record.period && was_fixed;
-            if !period.was_held && !is_own {
+            if !period.was_confirmed && !is_own {
                 continue;
             }
             let held = |arc: &ArcReference| integers.find(arc.serial, period.number);
