@@ -1,8 +1,8 @@
-//! The audit log: an entry for each administrative act, and for each that was refused.
+//! The audit log: an entry for each administrative act, done or refused.
 //!
 //! The entry of an act is written in the act's transaction, so that neither is stored without the
-//! other. Entries are added, and removed once they are old; no statement changes one, and a trigger
-//! of the database refuses such a statement of others.
+//! other. Entries are added, and removed once they are old. No statement of this program changes
+//! an entry, and a trigger of the database refuses any statement that does.
 
 use crate::id::{Id, Kind};
 use crate::refusal::Code;
@@ -12,15 +12,15 @@ use super::page::rows_asked;
 use super::pool::{reading, writing};
 use super::{Page, Store, StoreError};
 
-/// Who calls without a key, while none is needed.
+/// Actor of a call without a key, while the service needs no key.
 pub const LOOPBACK: &str = "loopback";
-/// Who works in the database by a command.
+/// Actor of a command that changes the database directly.
 pub const COMMAND_LINE: &str = "command-line";
-/// Who brings no key, or one that never existed.
+/// Actor of a call without a key, or with a key that never existed.
 pub const UNKNOWN: &str = "unknown";
-/// How other tenants see the operator.
+/// Actor under which other tenants see the operator's acts.
 pub const BY_OPERATOR: &str = "operator";
-/// The outcome of an act; that of a refused one is the refusal's code.
+/// Outcome of an act that was done. The outcome of a refused act is the code of the refusal.
 pub const DONE: &str = "DONE";
 
 const PAGE_LIMIT: usize = 1_000;
@@ -45,7 +45,7 @@ impl Kind for OfEntry {
 pub struct Author {
     /// Id of a key, [`LOOPBACK`], [`COMMAND_LINE`] or [`UNKNOWN`].
     pub actor: String,
-    /// To whom the actor belongs.
+    /// Tenant of the actor.
     pub tenant: Tenant,
     /// Id of the request; empty without one.
     pub request: String,
@@ -58,7 +58,7 @@ pub struct Author {
 pub struct Act<'a> {
     /// The call, such as `Keys.Create`.
     pub call: &'static str,
-    /// To whom the object belongs.
+    /// Tenant that owns the object.
     pub tenant: &'a Tenant,
     /// Id of what is changed; empty if it has no id.
     pub object: &'a str,
@@ -73,7 +73,7 @@ pub struct AuditEntry {
     pub id: String,
     /// When it was written (ms since 1970-01-01 UTC).
     pub unix_ms: i64,
-    /// To whom the object belongs; of a refused act, who asked for it.
+    /// Tenant that owns the object. For a refused act: the tenant that asked for it.
     pub tenant: Tenant,
     /// Who acted.
     pub author: Author,
@@ -117,10 +117,10 @@ impl Author {
 pub struct AuditFilter {
     /// Only those of this tenant.
     pub tenant: Option<Tenant>,
-    /// Only those of this actor; empty for all. [`BY_OPERATOR`] for the operator, of whom other
-    /// tenants see nothing else.
+    /// Only those of this actor; empty for all. Other tenants select all acts of the operator by
+    /// [`BY_OPERATOR`], because they see no other name of the operator.
     pub actor: String,
-    /// Who reads; `None` for the operator, who sees every actor.
+    /// Tenant that reads; `None` for the operator, who sees every actor.
     pub reader: Option<Tenant>,
     /// Only those of this call; empty for all.
     pub call: String,
@@ -149,12 +149,12 @@ impl AuditFilter {
         }
     }
 
-    /// The key before all others of the list.
+    /// Row key before the first entry of the list.
     const fn start(&self) -> i64 {
         if self.oldest_first { i64::MIN } else { i64::MAX }
     }
 
-    /// What the condition compares with the outcome.
+    /// Column of `is_refused`: 0 for all acts, 1 for acts that were done, 2 for refused ones.
     fn refused_column(&self) -> i32 {
         self.is_refused.map_or(0, |is_refused| if is_refused { 2 } else { 1 })
     }
@@ -176,8 +176,8 @@ struct RawEntry {
 }
 
 impl RawEntry {
-    /// The entry as its reader sees it: an act of the operator does not show other tenants by which
-    /// key, request and node it was done.
+    /// The entry as its reader sees it. Other tenants do not see the key, the request and the node
+    /// of an act of the operator.
     fn seen_by(self, reader: Option<&Tenant>) -> AuditEntry {
         let Self { id, unix_ms, actor, call, object, outcome, request, node, change, .. } = self;
         let is_hidden = reader.is_some_and(|reader| reader.name() != self.actor_tenant);
@@ -196,7 +196,7 @@ impl RawEntry {
     }
 }
 
-/// A page of entries: of one tenant, which the index finds, or of all.
+/// Selects a page of entries: those of one tenant, found by the index, or all.
 macro_rules! select_entries {
     ($tenant:literal, $after:literal) => {
         concat!(
@@ -302,7 +302,7 @@ impl Store {
         Page::of(rows, page_size, |row| row.id.clone()).try_map(seen)
     }
 
-    /// The key of an entry of a tenant, or of any if its name is empty.
+    /// Row key of an entry of a tenant; of any tenant if the name is empty.
     async fn key_of_entry(&self, id: &str, tenant: &str) -> Result<Option<i64>, StoreError> {
         let key: Result<Option<i64>, _> = reading!(list &self.pool, pool => {
             let sql = "SELECT key FROM audit_entries WHERE id = $1 AND ($2 = '' OR tenant = $2)";

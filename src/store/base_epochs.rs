@@ -1,4 +1,4 @@
-//! The stored epochs of bases: all of one, or what another node of the cluster has added.
+//! Reads the stored epochs of bases: all of one base, or those that other nodes have added.
 
 use super::deadline::{BULK_DEADLINE, within};
 use super::pool::{Pool, reading};
@@ -11,7 +11,7 @@ const LATER: &str = "SELECT e.base, e.number, e.gps_time_ns, e.stored_unix_ms, e
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
 
-/// The same after the key of the base.
+/// A [`BaseEpochRow`] with the key of its base in front.
 type LaterRow = (i64, i64, i64, i64, Vec<u8>);
 
 /// An epoch of a base, and when it was stored (ms since 1970-01-01 UTC).
@@ -39,8 +39,8 @@ impl Store {
         Ok((rows.into_iter().map(read).collect::<Result<_, _>>()?, stored_unix_ms))
     }
 
-    /// The epochs of bases after those of these numbers, in order of base and number; none without
-    /// a server.
+    /// The epochs of bases after the given numbers, in order of base and number. Empty on SQLite,
+    /// where no other node writes.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.

@@ -56,12 +56,12 @@ pub enum BaseChoice<B = BaseName> {
 }
 
 impl<B> BaseChoice<B> {
-    /// Whether it is no base.
+    /// Whether the session uses no base.
     pub(crate) const fn is_none(&self) -> bool {
         matches!(self, Self::None)
     }
 
-    /// The same choice, with each base replaced by `name` of it.
+    /// The same choice, with each base replaced by the result of `name`.
     ///
     /// # Errors
     /// The first error of `name`.
@@ -101,7 +101,7 @@ pub struct BaseUse {
 /// A base to store.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct NewBaseRow<'a> {
-    /// To whom it belongs.
+    /// Tenant that owns the base.
     pub(crate) tenant: &'a Tenant,
     /// Public id.
     pub(crate) id: &'a str,
@@ -126,7 +126,7 @@ pub(crate) struct NewBaseRow<'a> {
 pub struct BaseRow {
     /// Primary key of the base.
     pub key: BaseKey,
-    /// To whom it belongs.
+    /// Tenant that owns the base.
     pub tenant: Tenant,
     /// Public id of the base.
     pub id: String,
@@ -182,7 +182,8 @@ impl StoredBaseEpoch {
 
     /// Whether `other` has the same time tag and observations, bit by bit.
     pub(crate) fn is(&self, other: &Self) -> bool {
-        // Bytes of another layout are decoded for the comparison.
+        // Bytes of different layouts can encode equal epochs, so both are decoded and encoded
+        // again.
         let whole = |stored: &Self| stored.epoch().map(|epoch| encode_epoch(&epoch));
         self.content == other.content
             || self.content.first() != other.content.first()
@@ -230,7 +231,7 @@ struct RawSite {
 }
 
 impl RawSite {
-    /// The site; `kept` has the calibrations by hash.
+    /// The site. `kept` contains the calibrations by hash.
     fn parse(
         self,
         kept: &BTreeMap<String, Arc<AntennaCalibration>>,
@@ -274,7 +275,7 @@ const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, req
     WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 
-/// Binds a site after its base.
+/// Binds the columns of a site after the key of its base.
 macro_rules! site {
     ($base:expr, $since:expr, $site:expr) => {{
         let BaseSite { marker: Ecef(marker), antenna_delta_hen_m: delta, antenna, .. } = $site;
@@ -332,7 +333,7 @@ impl RawBase {
 }
 
 impl Store {
-    /// Stores a new base of a tenant, and notes it.
+    /// Stores a new base of a tenant, and writes the entry of the audit log.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.

@@ -6,11 +6,12 @@ use super::codec::{CodecError, decode_epoch, decode_relative_epoch, distances};
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError};
 
-/// Epochs in a chain. To read its last one, all are decoded. This number may rise and never falls.
+/// Epochs in a chain. To read its last epoch, all of them are decoded. A later version may raise
+/// this number, but must not lower it.
 pub(super) const CHAIN: usize = 16;
 
-/// Decodes epochs of a session in order of their numbers. What their chains need before them is
-/// read from the store.
+/// Decodes epochs of a session in order of their numbers. It reads the earlier epochs of a chain
+/// from the store where they are needed.
 pub(super) struct Chain<'a> {
     store: &'a Store,
     session: SessionKey,
@@ -34,7 +35,7 @@ impl<'a> Chain<'a> {
         self.step(seq, content).cloned().map_err(corrupt)
     }
 
-    /// Whether an epoch can be decoded after the last one.
+    /// Whether the last decoded epoch suffices to decode this one.
     fn has_reference_of(&self, seq: u64, content: &[u8]) -> Result<bool, CodecError> {
         let Some(distances) = distances(content)? else { return Ok(true) };
         let last = self.last.as_ref().map(|(last, _)| *last);
@@ -52,7 +53,7 @@ impl<'a> Chain<'a> {
         Ok(&self.last.insert((seq, epoch)).1)
     }
 
-    /// The epochs of a chain before `seq`.
+    /// The epochs before `seq` that belong to its chain.
     async fn before(&self, seq: u64, content: &[u8]) -> Result<Vec<(i64, Vec<u8>)>, StoreError> {
         let distances = distances(content).map_err(corrupt)?;
         let distance = distances.map_or(0, |distances| distances.first);

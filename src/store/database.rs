@@ -16,10 +16,10 @@ use super::deadline::{BULK_DEADLINE, DEADLINE, within};
 static SQLITE_MIGRATIONS: Migrator = sqlx::migrate!("migrations/sqlite");
 static POSTGRES_MIGRATIONS: Migrator = sqlx::migrate!("migrations/postgres");
 
-/// Longest time that a connection waits for another process's lock on the file. Below the deadline
-/// of a commit, so that SQLite names the cause.
+/// Longest time that a connection waits for another process's lock on the file. It is below the
+/// deadline of a commit, so that SQLite reports the cause.
 pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(4);
-/// Size of the write-ahead log (pages of 4 KiB) at which it is moved into the database.
+/// Size of the write-ahead log (pages of 4 KiB) at which its pages are moved into the database.
 pub(super) const CHECKPOINT_PAGES: &str = "4000";
 
 /// Settings of each connection to Postgres. The server notices a client that has vanished within
@@ -30,7 +30,7 @@ const POSTGRES_SETTINGS: [(&str, &str); 4] = [
     ("tcp_keepalives_count", "3"),
     ("idle_in_transaction_session_timeout", "30s"),
 ];
-/// Makes commits durable where the server's default does not. A stronger setting stays.
+/// Makes commits durable if the server's default does not. A stronger setting is kept.
 pub(super) const POSTGRES_DURABLE: &str = "SELECT set_config('synchronous_commit', 'on', false) \
     WHERE current_setting('synchronous_commit') = 'off'";
 
@@ -55,7 +55,8 @@ impl Database {
                 }
                 let names_vfs = |query: &str| query.split('&').any(|part| part.starts_with("vfs="));
                 if file.split_once('?').is_some_and(|(_, query)| names_vfs(query)) {
-                    // The committer opens the file by itself, and both must lock it alike.
+                    // The committer opens the file by itself, and both must lock it in the same
+                    // way.
                     let why = "it names a vfs, and Graphfix uses that of the system";
                     return Err(invalid(why.to_owned()));
                 }
@@ -106,7 +107,7 @@ impl Database {
         }
     }
 
-    /// Checks that the schema is the one that this program knows. Changes nothing.
+    /// Checks that the schema has the version that this program knows. Changes nothing.
     pub(super) async fn check_schema(&self) -> Result<(), StoreError> {
         let failed = StoreError::database("reading the version of the schema");
         let newest = "SELECT MAX(version) FROM _sqlx_migrations WHERE success";

@@ -1,9 +1,9 @@
 //! Partitions of the log by day of arrival, on Postgres.
 //!
-//! Epochs and revisions of a day are in partitions of their own, so that retention drops a day at
-//! once: no row is deleted one by one, and the disk gets its space back. The committer makes the
-//! partitions of a day before its first commit of that day. Rows that outlive their day, because
-//! their session keeps them for longer, are moved to the partition without day.
+//! Epochs and revisions of a day are in partitions of their own. So retention drops a day at once:
+//! no row is deleted singly, and the disk gets its space back. The committer makes the partitions
+//! of a day before its first commit of that day. Rows that are kept longer, because their session
+//! has a longer retention, are moved to the partition without a day.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
@@ -23,17 +23,17 @@ const TABLES: [(&str, &str); 2] =
 const DAYS: &str = "SELECT TO_DATE(SUBSTRING(relname FROM '_([0-9]{8})$'), 'YYYYMMDD') \
     - DATE '1970-01-01' FROM pg_inherits JOIN pg_class ON pg_class.oid = inhrelid \
     WHERE inhparent = $1::regclass AND relname ~ '_[0-9]{8}$' ORDER BY 1";
-/// Nodes of a cluster may make the partitions of a day at the same time.
+/// Makes nodes of a cluster wait for each other when they make the partitions of a day.
 const MAKE_IN_TURN: &str =
     "SELECT pg_advisory_xact_lock(hashtextextended('graphfix days ' || current_schema(), 0))";
-/// To drop a table, nobody may read it. A drop waits for this long at most, because who comes
-/// later waits behind it.
+/// A table can be dropped only while nobody reads it. A drop waits for this time at most, because
+/// later readers wait behind it.
 const DROP_PATIENCE: &str = "SET LOCAL lock_timeout = '200ms'";
-/// The state of a lock that was not granted in time.
+/// SQLSTATE of a lock that was not granted in time.
 const LOCK_NOT_AVAILABLE: &str = "55P03";
-/// Rows moved in one transaction, so that it takes few milliseconds.
+/// Rows moved in one transaction, so that it takes only some milliseconds.
 const ROWS_PER_STEP: i64 = 500;
-/// Between transactions, for those of others.
+/// Pause between transactions, so that those of others come in between.
 const PAUSE: Duration = Duration::from_millis(20);
 const SESSIONS_PER_READ: i64 = 100;
 
@@ -44,18 +44,18 @@ pub(super) struct Days {
 }
 
 impl Days {
-    /// Those of the days whose partitions may have to be made.
+    /// The given days whose partitions may not exist yet.
     pub(super) fn unknown(&self, days: impl IntoIterator<Item = i32>) -> BTreeSet<i32> {
         let known = self.known();
         days.into_iter().filter(|day| !known.contains(day)).collect()
     }
 
-    /// Remembers days whose partitions are committed.
+    /// Remembers days whose partitions have been committed.
     pub(super) fn learn(&self, days: BTreeSet<i32>) {
         self.known().extend(days);
     }
 
-    /// Forgets all, after a failure or before a drop.
+    /// Forgets all known days, after a failure or before a drop.
     pub(super) fn forget(&self) {
         self.known().clear();
     }
@@ -65,8 +65,8 @@ impl Days {
     }
 }
 
-/// Makes the partitions of a day, in a transaction. Readers and writers of other days are not
-/// stopped, as they would be by `CREATE TABLE … PARTITION OF`.
+/// Makes the partitions of a day in a transaction. It does not block readers and writers of other
+/// days, as `CREATE TABLE … PARTITION OF` would.
 pub(super) async fn make_day(connection: &mut PgConnection, day: i32) -> Result<(), sqlx::Error> {
     sqlx::query(MAKE_IN_TURN).execute(&mut *connection).await?;
     let date = date(connection, day).await?;
@@ -98,8 +98,9 @@ fn partition(table: &str, date: &str) -> String {
 }
 
 impl Store {
-    /// Drops the partitions of days of which nothing is kept any more. Of days that are older than
-    /// the retention of the service, `retention_days`, it moves what is kept before; 0 is for ever.
+    /// Drops the partitions of days from which no row is kept any more. From days older than the
+    /// service's retention it first moves the kept rows. A `retention_days` of 0 keeps all for
+    /// ever.
     ///
     /// # Errors
     /// The database fails.
@@ -115,7 +116,7 @@ impl Store {
                 let days: Vec<i32> = within(BULK_DEADLINE, days).await?;
                 for day in days {
                     let age = today - i64::from(day);
-                    // A session keeps up to a day more than its retention.
+                    // A session's epochs are kept for up to a day longer than its retention.
                     let is_due = retention_days != 0 && i64::from(retention_days) + 2 < age;
                     if 1 < age {
                         self.drop_day(pool, table, day, is_due).await?;
@@ -127,7 +128,7 @@ impl Store {
         dropping.await.map_err(StoreError::database("dropping the days of the log"))
     }
 
-    /// Drops a day of a table if nothing of it is kept, or if it has been moved.
+    /// Drops a day of a table if none of its rows is kept. If `is_due`, kept rows are moved first.
     async fn drop_day(
         &self,
         pool: &PgPool,
@@ -147,7 +148,7 @@ impl Store {
         Ok(())
     }
 
-    /// Drops a partition; `false` if somebody holds it, or if something has come that is kept.
+    /// Drops a partition; `false` if it is in use, or if it has received rows that are kept.
     async fn drop_partition(
         &self,
         connection: &mut PgConnection,
@@ -156,7 +157,7 @@ impl Store {
         let mut transaction = connection.begin().await?;
         let dropping = async {
             sqlx::query(DROP_PATIENCE).execute(&mut *transaction).await?;
-            // Nobody writes to it from now on, not even if the clock was set back.
+            // Nobody can write to it from now on, even if the clock was set back.
             let lock = format!("LOCK TABLE {partition} IN EXCLUSIVE MODE");
             sqlx::query(&lock).execute(&mut *transaction).await?;
             if !kept_sessions(&mut transaction, partition, 1).await?.is_empty() {
@@ -182,13 +183,13 @@ impl Store {
     }
 }
 
-/// Some of the sessions of which a partition has rows that are not removed.
+/// Up to `count` sessions that have rows in a partition which are not removed.
 async fn kept_sessions(
     connection: &mut PgConnection,
     partition: &str,
     count: i64,
 ) -> Result<Vec<i64>, sqlx::Error> {
-    // The limit within makes it a search in the index for each session.
+    // The inner LIMIT makes the database search the index for each session.
     let sql = format!(
         "SELECT h.session FROM session_heads h CROSS JOIN LATERAL (SELECT 1 FROM {partition} p \
          WHERE p.session = h.session AND p.seq > COALESCE(h.removed_through, -1) LIMIT 1) kept \
@@ -198,7 +199,7 @@ async fn kept_sessions(
     within(BULK_DEADLINE, read).await
 }
 
-/// Moves what is kept of a day to the partition without day, in steps.
+/// Moves the kept rows of a day to the partition without a day, in steps.
 async fn move_kept(
     connection: &mut PgConnection,
     table: &str,

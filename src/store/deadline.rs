@@ -1,4 +1,4 @@
-//! How long a statement may take. A database that does not answer must not hold its callers.
+//! Longest times of statements. A database that does not answer must not block its callers.
 
 use std::future::Future;
 use std::io;
@@ -6,10 +6,10 @@ use std::time::Duration;
 
 use tokio::time::timeout;
 
-/// For a statement, and for a transaction of the committer.
+/// Deadline of a statement, and of a transaction of the committer.
 pub(super) const DEADLINE: Duration = Duration::from_secs(5);
-/// For transactions of many statements, such as a file of navigation data, and for reads of many
-/// rows, such as all epochs of a base.
+/// Deadline of a transaction of many statements, such as a file of navigation data, and of a read
+/// of many rows, such as all epochs of a base.
 pub(super) const BULK_DEADLINE: Duration = Duration::from_secs(30);
 
 /// The result of `work`, or an error if it takes longer than `limit`.

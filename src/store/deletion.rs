@@ -1,4 +1,4 @@
-//! Deletes sessions: at once for whoever asks, and piece by piece on the disk.
+//! Deletes sessions: they are hidden from callers at once, and their rows are removed in steps.
 
 use super::audit::note;
 use super::pool::{Pool, reading, writing};
@@ -10,7 +10,7 @@ const LAST_OF_STEP: &str =
     "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
 const REMOVE_REVISIONS: &str = "DELETE FROM revisions WHERE session = $1 AND seq <= $2";
 const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
-/// The rest, once there are no epochs. Without its head a session is not found any more.
+/// Removes all other rows, once there are no epochs. Without its head a session is not found.
 const REMOVE_REST: [&str; 9] = [
     "DELETE FROM rollups WHERE session = $1",
     "DELETE FROM revisions WHERE session = $1",
@@ -24,8 +24,8 @@ const REMOVE_REST: [&str; 9] = [
 ];
 const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
     AND begin_s IN (SELECT begin_s FROM rollups WHERE session = $1 AND seconds = 60 LIMIT $2)";
-/// The fleet's hours that have hours of the session. A server locks them, in the order in which the
-/// committer does.
+/// Selects the hours of the fleet to which the session contributes. On Postgres it locks them, in
+/// the same order as the committer.
 macro_rules! hours_of_fleet {
     ($lock:literal) => {
         concat!(
@@ -37,7 +37,7 @@ macro_rules! hours_of_fleet {
         )
     };
 }
-/// Takes the session's hours from those of its fleet.
+/// Subtracts the session's hours from those of its fleet.
 const LEAVE_FLEET: [&str; 2] = [
     "UPDATE fleet_hours SET sessions = fleet_hours.sessions - 1, \
      n_none = fleet_hours.n_none - r.n_none, n_single = fleet_hours.n_single - r.n_single, \
@@ -52,13 +52,13 @@ const LEAVE_FLEET: [&str; 2] = [
     "DELETE FROM fleet_hours WHERE sessions <= 0 \
      AND tenant = (SELECT s.tenant FROM sessions s WHERE s.key = $1)",
 ];
-/// What is stored with a session beside its id.
+/// Erases the settings of a session. Its row and its id remain.
 const FORGET: &str =
     "UPDATE sessions SET label = '', overrides = '{}', configuration = '{}' WHERE key = $1";
 
 impl Store {
-    /// Deletes a closed session: it is not found any more. [`Self::remove_deleted`] frees its
-    /// space. Notes it with `entry`.
+    /// Deletes a closed session, so that it is not found any more, and writes `entry` to the audit
+    /// log. [`Self::remove_deleted`] frees its space.
     ///
     /// # Errors
     /// The database fails.
@@ -81,8 +81,8 @@ impl Store {
         deleted.map_err(StoreError::database("deleting a session"))
     }
 
-    /// Removes up to `epochs` epochs of a deleted session, or all else of it if it has none.
-    /// Returns `false` if there is nothing to remove.
+    /// Removes up to `epochs` epochs of a deleted session, or all its other rows if it has no
+    /// epochs. Returns `false` if there is nothing to remove.
     ///
     /// # Errors
     /// The database fails.

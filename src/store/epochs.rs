@@ -20,11 +20,11 @@ pub struct StoredEpoch {
     pub solution: StoredSolution,
     /// Number of the last push of navigation data before it was solved.
     pub navigation: u64,
-    /// The base epochs it was solved with.
+    /// The base epochs with which it was solved.
     pub base: Option<BaseUse>,
 }
 
-/// What a session is restored from.
+/// The stored rows from which a session is restored.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct StoredState {
     /// The newest snapshot.
@@ -41,7 +41,7 @@ const SELECT_STATE: &str = "SELECT seq, configuration_hash, content, \
     FROM snapshots WHERE session = $1";
 
 impl StoredEpoch {
-    /// Whether `epoch` is the stored one, bit by bit.
+    /// Whether `epoch` equals the stored one, bit by bit.
     pub(crate) fn is(&self, epoch: &Epoch) -> bool {
         encode_epoch(&self.epoch) == encode_epoch(epoch)
     }
@@ -71,7 +71,7 @@ impl RawEpoch {
     }
 }
 
-/// The rows of [`RawEpoch`] of the session `$1`, up to the other conditions.
+/// Selects the columns of [`RawEpoch`] of the session `$1`; other conditions follow.
 macro_rules! select_epochs {
     ($conditions:literal) => {
         concat!(
@@ -134,8 +134,8 @@ impl Store {
         self.decoded(session, rows).await
     }
 
-    /// What a session is restored from: its newest snapshot, and up to `count` epochs after it. It
-    /// is read on one connection.
+    /// The rows from which a session is restored: its newest snapshot, and up to `count` epochs
+    /// after it. They are read on one connection.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -173,7 +173,8 @@ impl Store {
         Ok(StoredState { snapshot: Some(snapshot), has_arcs, epochs })
     }
 
-    /// Number of the epoch that `count` epochs of the session follow, if there are that many.
+    /// Number of the epoch that is followed by the last `count` epochs of the session, if there are
+    /// that many.
     ///
     /// # Errors
     /// The database fails.
@@ -191,7 +192,7 @@ impl Store {
         Ok(row.map(|(seq,)| seq as u64))
     }
 
-    /// Those of the epochs `seqs` that are stored, with their real-time answers.
+    /// The stored ones of the epochs `seqs`, with their real-time answers.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -230,8 +231,8 @@ impl Store {
         rows.map_err(StoreError::database("reading epochs"))
     }
 
-    /// Decodes rows in order of their numbers. Rows that have expired since they were read are left
-    /// out, if what their chains need has been removed.
+    /// Decodes rows in order of their numbers. A row is left out if it has expired since it was
+    /// read, and other epochs of its chain have been removed.
     async fn decoded(
         &self,
         session: SessionKey,
@@ -251,8 +252,8 @@ impl Store {
         Ok(epochs)
     }
 
-    /// Whether an error says that a row misses another, and both have been removed since the row
-    /// was read.
+    /// Whether the error means that a row needs another one, and both have been removed since the
+    /// row was read.
     pub(super) async fn explains_missing(
         &self,
         session: SessionKey,
@@ -296,8 +297,8 @@ mod tests {
         session(store, epochs).await
     }
 
-    /// Rows are read, then expire, and then their chains are read: they are not found. Those of a
-    /// chain that has a gap for another reason are corrupt.
+    /// Rows that expire between the read of the rows and that of their chains are not found. A gap
+    /// in a chain for another reason means that its rows are corrupt.
     #[tokio::test]
     async fn epochs_that_expire_while_they_are_read_are_not_found() {
         let folder = tempfile::tempdir().unwrap();
@@ -316,7 +317,7 @@ mod tests {
         assert_eq!(corrupt.code().name(), "STORED_DATA_CORRUPT");
     }
 
-    /// The same of a revision whose first answer is removed before it is read.
+    /// A revision whose first answer is missing is corrupt, unless both have expired.
     #[tokio::test]
     async fn a_revision_without_its_first_answer_is_corrupt_unless_it_expired() {
         let folder = tempfile::tempdir().unwrap();

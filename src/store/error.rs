@@ -54,10 +54,10 @@ pub enum StoreError {
         /// What is wrong with the lock file.
         why: String,
     },
-    /// A cluster needs a server.
+    /// Nodes of a cluster need a database on Postgres.
     #[error("the nodes of a cluster share a database on Postgres, and this one is a file")]
     ClusterOfFile,
-    /// The session is another node's.
+    /// The session belongs to another node.
     #[error("the session is of node {node}")]
     Elsewhere {
         /// Name of that node.

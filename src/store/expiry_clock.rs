@@ -1,9 +1,9 @@
 //! The time by which the ages of epochs are counted. It follows the clock of the service, but not a
-//! step of it: a clock that is wrong by more than the retention must not remove anything.
+//! step of the clock: a clock that is wrong by more than the retention must not remove anything.
 //!
-//! The time is stored. It advances as far as the service has run, a tenth faster if the clock is
-//! ahead, or to the newest epoch of a session that is not ahead of the clock: what receivers of
-//! satellites measured is a witness that the clock is right. It never passes the clock.
+//! The time is stored. It advances by the time that the service has run, or a tenth more if the
+//! clock is ahead. It also advances to the newest epoch that is not ahead of the clock, because
+//! observations of satellites confirm the clock. It never passes the clock.
 
 use crate::gnss::{GpsTime, LeapSeconds};
 
@@ -15,8 +15,8 @@ const READ: &str = "SELECT unix_ms, (SELECT MAX(last_gps_time_ns) FROM session_h
 const SET: &str = "UPDATE expiry_clock SET unix_ms = $1 WHERE unix_ms IS NULL OR unix_ms < $1";
 
 impl Store {
-    /// Advances the time by which ages are counted, and returns it (ms since 1970-01-01 UTC). The
-    /// clock says `now`, and the service has run for `elapsed_ms` since the last call.
+    /// Advances the time by which ages are counted, and returns it (ms since 1970-01-01 UTC).
+    /// `elapsed_ms` is the time that the service has run since the last call.
     ///
     /// # Errors
     /// The database fails.
@@ -42,7 +42,7 @@ impl Store {
     }
 }
 
-/// The time `counted`, advanced; all in ms since 1970-01-01 UTC.
+/// The advanced time. All times are in ms since 1970-01-01 UTC.
 fn advanced(counted: i64, newest_epoch: Option<i64>, now: i64, elapsed_ms: i64) -> i64 {
     let run = counted.saturating_add(elapsed_ms + elapsed_ms / 10);
     now.min(newest_epoch.map_or(run, |epoch| run.max(epoch)))

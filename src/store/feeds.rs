@@ -55,8 +55,9 @@ pub(super) struct RawFeed {
 }
 
 impl RawFeed {
-    /// The feed. Without the key of its password it has none: a command that reads a database
-    /// beside a service connects to no caster. A service has the keys of all (`Store::reseal`).
+    /// The feed. If the key of its password is unknown, the password is empty: this is so in a
+    /// command beside a service, which connects to no caster. A service has all keys
+    /// (`Store::reseal`).
     pub(super) fn parse(self, secrets: &Secrets) -> Result<BaseFeed, StoreError> {
         let stored = StoredSecret { text: self.password, key: self.password_key };
         let password = match secrets.unseal(&password_owner(self.base), &stored) {
@@ -82,7 +83,7 @@ impl RawFeed {
     }
 }
 
-/// To what a password belongs, so that it opens for this base only.
+/// Name of the owner of a password, so that the password can be opened for this base only.
 pub(super) fn password_owner(base: i64) -> String {
     format!("base {base}")
 }
@@ -92,7 +93,7 @@ pub(super) const INSERT_FEED: &str = "INSERT INTO base_feeds
      follows_rover, on_demand, password_key)
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13)";
 
-/// Binds a feed, its password sealed by these secrets, after its base.
+/// Binds a feed after the key of its base, with its password sealed by these secrets.
 macro_rules! feed {
     ($base:expr, $feed:expr, $secrets:expr) => {{
         let owner = $crate::store::feeds::password_owner($base.0);

@@ -1,4 +1,4 @@
-//! Heads of sessions: what was committed last, and the span of time of their solutions.
+//! Heads of sessions: state after the last commit, and the span of time of their solutions.
 
 use crate::gnss::{Ecef, GpsTime, Status};
 use crate::tenant::Tenant;
@@ -10,10 +10,10 @@ use super::session_filter::condition;
 use super::{Bounds, Page, SessionFilter, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
-/// Heads that are looked through for those within an area. A page ends there, full or not.
+/// Most heads that are searched for an area. A page ends there, even if it is not full.
 pub(crate) const SCANNED_HEADS: usize = 20_000;
 
-/// What a session's last commit left.
+/// A session as its last commit left it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionHead {
     /// Public id of the session.
@@ -81,7 +81,7 @@ impl RawHead {
     }
 }
 
-/// The columns of [`RawHead`] of a page.
+/// Selects the columns of [`RawHead`] of a page.
 macro_rules! select_heads {
     ($order:ident) => {
         concat!(
@@ -95,7 +95,7 @@ macro_rules! select_heads {
     };
 }
 
-/// The time of an epoch that is not removed, of those between two numbers.
+/// Selects the time of an epoch between two numbers that is not removed.
 macro_rules! time_of {
     ($order:literal) => {
         concat!(
@@ -108,8 +108,9 @@ macro_rules! time_of {
 }
 
 impl Store {
-    /// A page of the heads of a tenant, or of those with their latest position in an area. With an
-    /// area it may have fewer than its size, or none, although there are more: its token tells.
+    /// A page of the heads of a tenant, or of those whose latest position is in an area. With an
+    /// area a page may have fewer items than its size, or none, even if there are more. The list
+    /// ends when a page has no token.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
@@ -137,7 +138,7 @@ impl Store {
         page.try_map(RawHead::parse)
     }
 
-    /// The key beside which a page of sessions begins.
+    /// Row key of the session after which a page begins.
     pub(super) async fn beside(
         &self,
         tenant: &Tenant,

@@ -1,4 +1,4 @@
-//! What the store reports of itself: whether commits succeed, and how durable they are.
+//! State of the store: whether commits succeed, and how durable they are.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,8 +13,8 @@ pub enum CommitterState {
         /// Message of the failure.
         why: Arc<str>,
     },
-    /// Another service had the lease meanwhile. It commits nothing any more: the service must start
-    /// again.
+    /// Another service has had the lease meanwhile. The committer commits nothing any more, so the
+    /// service must start again.
     LeaseLost {
         /// Name of the other node.
         holder: Arc<str>,
@@ -23,7 +23,7 @@ pub enum CommitterState {
     Stopped,
 }
 
-/// What the committer reports of itself.
+/// State and counts of the committer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommitterHealth {
     /// Whether it can commit.
@@ -43,7 +43,7 @@ impl CommitterHealth {
         Self { state: CommitterState::Working, confirmed, failures: 0, panics: 0 }
     }
 
-    /// Whether it will commit nothing any more.
+    /// Whether it has ended and commits nothing any more.
     pub(super) const fn has_ended(&self) -> bool {
         matches!(self.state, CommitterState::Stopped | CommitterState::LeaseLost { .. })
     }
@@ -54,7 +54,7 @@ impl CommitterHealth {
     }
 }
 
-/// A setting of the database that matters for what is stored.
+/// A setting of the database on which durability or size depends.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DatabaseSetting {
     /// Its name in the database.

@@ -13,13 +13,13 @@ use super::{
 };
 
 const PAGE_LIMIT: usize = 1_000;
-/// Most sessions that are looked through for those that have been in an area, and most of their
-/// hours: a day of that many. A page ends there, full or not.
+/// Most sessions, and most of their hours, that a page searches for an area: a day of all these
+/// sessions. A page ends there, even if it is not full.
 const SCANNED: usize = 10_000;
 const SCANNED_HOURS: usize = 24 * SCANNED;
-/// More sessions than can be created between two statements.
+/// An upper limit of the sessions created between two statements.
 const CREATED: usize = 100;
-/// Most rollups of one read: those of all hours of a year and more, or of all minutes of a week.
+/// Most rollups of one read: more than the hours of a year, or the minutes of a week.
 pub(crate) const ROLLUPS_MAX: i64 = 20_000;
 const NS_PER_S: i64 = 1_000_000_000;
 
@@ -35,7 +35,7 @@ const ROLLUP_ENDS: &str = "SELECT MIN(begin_s), MAX(begin_s) FROM rollups \
 const SELECT_FLEET: &str = "SELECT begin_s, sessions, n_none, n_single, n_ekf, n_fgo, n_float, \
     n_fixed, positions, ages, sigma_sum_m, satellites_sum, age_sum_s FROM fleet_hours \
     WHERE tenant = $1 AND begin_s >= $2 AND begin_s <= $3 ORDER BY begin_s LIMIT $4";
-/// Some rows of hours whose last epoch arrived before a day.
+/// Removes some rows of hours whose last epoch arrived before a day.
 const REMOVE_EXPIRED: [&str; 2] = [
     "DELETE FROM rollups WHERE (session, seconds, begin_s) IN (SELECT session, seconds, begin_s \
      FROM rollups WHERE seconds = 3600 AND day < $1 LIMIT $2)",
@@ -43,7 +43,7 @@ const REMOVE_EXPIRED: [&str; 2] = [
      FROM fleet_hours WHERE day < $1 LIMIT $2)",
 ];
 
-/// Sums of the hours of each session of a page, of those hours whose box meets an area.
+/// Selects, for each session of a page, the sums of its hours whose box intersects an area.
 macro_rules! summaries {
     ($order:ident, $sort:literal) => {
         concat!(
@@ -69,7 +69,7 @@ macro_rules! summaries {
             "h.closed_unix_ms AS closed_unix_ms ",
             "FROM sessions s JOIN session_heads h ON h.session = s.key ",
             condition!($order),
-            // CROSS: SQLite must look up the hours of each session, not the sessions of all hours.
+            // With CROSS, SQLite looks up the hours of each session, not the sessions of all hours.
             ") AS p CROSS JOIN rollups r WHERE r.session = p.key ",
             "AND p.key BETWEEN $15 AND $16 AND r.seconds = 3600 ",
             "AND r.begin_s >= $7 AND r.begin_s <= $8 AND ($9 = 0 OR (r.south_deg <= $12 ",
@@ -83,7 +83,7 @@ macro_rules! summaries {
         )
     };
 }
-/// Keys and ids of a page of sessions.
+/// Selects keys and ids of a page of sessions.
 macro_rules! ids {
     ($order:ident) => {
         concat!(
@@ -105,8 +105,8 @@ pub struct HistoryFilter {
 }
 
 impl HistoryFilter {
-    /// How many sessions a page looks through: as many as it has, and more in a short span for
-    /// those that have been in an area.
+    /// Number of sessions that a page searches: its size without an area. With an area it is more,
+    /// and the shorter the span, the more.
     fn sessions_scanned(&self, page_size: usize) -> usize {
         let (from_s, to_s) = seconds(self.span);
         let hours = usize::try_from(to_s.saturating_sub(from_s) / 3_600 + 1).unwrap_or(1);
@@ -226,12 +226,12 @@ impl RawRollup {
     }
 }
 
-/// The time of a begin (s).
+/// The GPS time at which a bucket begins.
 fn begin(seconds: i64) -> GpsTime {
     GpsTime::from_ns(seconds.saturating_mul(NS_PER_S))
 }
 
-/// The span of time as begins (s).
+/// The span of time in whole seconds, as buckets have it.
 fn seconds((from, to): (GpsTime, GpsTime)) -> (i64, i64) {
     (from.as_ns().div_euclid(NS_PER_S), to.as_ns().div_euclid(NS_PER_S))
 }
@@ -367,7 +367,7 @@ impl Store {
         rows.into_iter().map(RawRollup::parse).collect()
     }
 
-    /// Begins of the first and the last of these rollups.
+    /// Beginnings of the first and the last rollup of the session with this length of bucket.
     ///
     /// # Errors
     /// The database fails.
@@ -405,8 +405,9 @@ impl Store {
         Ok(rows.into_iter().map(RawFleetHour::parse).collect())
     }
 
-    /// A page of the sessions of a tenant with their hours in a span and an area. It looks through
-    /// a bounded number of sessions, so it may have fewer, or none: its token tells.
+    /// A page of the sessions of a tenant with their hours in a span and an area. It searches a
+    /// bounded number of sessions, so it may have fewer items than its size, or none. The list ends
+    /// when a page has no token.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
@@ -441,7 +442,7 @@ impl Store {
                 false => summaries!(newest_first, "DESC"),
             };
             let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside);
-            // Sessions that were created meanwhile are not between the keys.
+            // Sessions that were created since the first read have keys outside the range.
             let select = select.bind((scanned.len() + CREATED) as i64);
             let select = select.bind(sessions.closed_column()).bind(&sessions.mode);
             let select = select.bind(&sessions.label).bind(from_s).bind(to_s);
@@ -455,7 +456,7 @@ impl Store {
         Ok(Page { items, next_page_token: next_page_token.or(beyond) })
     }
 
-    /// Keys and ids of `rows` sessions of a list behind a key.
+    /// Keys and ids of up to `rows` sessions of a list after a row key.
     async fn listed(
         &self,
         tenant: &Tenant,

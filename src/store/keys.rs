@@ -1,7 +1,8 @@
-//! API keys as rows. A row has the hash of its secret, never the secret.
+//! API keys as rows. A row contains the hash of the secret, never the secret.
 //!
-//! Each change of a key has a number, higher than those before. So whoever has the keys in memory
-//! reads only what has changed, and by a connection of its own, which never waits for other reads.
+//! Each change of a key has a number that is higher than all earlier ones. So a service that has
+//! the keys in memory reads only the changes. It has a connection for this, which never waits for
+//! other reads.
 
 use crate::tenant::Tenant;
 
@@ -14,13 +15,14 @@ const PAGE_LIMIT: usize = 1_000;
 /// Keys read at a time.
 const CHANGES: i64 = 1_000;
 
-/// Counts a change up. As the first statement of a transaction it lets others wait until the end.
+/// Takes the next number of a change. It is the first statement of a transaction, so other
+/// transactions with a change wait until this one ends.
 pub(super) const COUNT_UP: &str = "UPDATE api_key_changes SET number = number + 1 RETURNING number";
 const INSERT: &str = "INSERT INTO api_keys (id, tenant, rights, label, secret_sha256, \
     created_unix_ms, expires_unix_ms, changed) VALUES ($1, $2, $3, $4, $5, $6, $7, $8)";
 const REVOKE: &str = "UPDATE api_keys SET revoked_unix_ms = $1, changed = $2 \
     WHERE id = $3 AND revoked_unix_ms IS NULL";
-/// An earlier expiry stays.
+/// Shortens the life of a key. An earlier expiry is kept.
 const EXPIRE: &str = "UPDATE api_keys SET expires_unix_ms = $1, changed = $2 \
     WHERE id = $3 AND (expires_unix_ms IS NULL OR $1 < expires_unix_ms)";
 const TENANT: &str = "INSERT INTO tenants (name, created_unix_ms) VALUES ($1, $2) \
@@ -33,7 +35,7 @@ const USE: &str = "UPDATE api_keys SET last_used_unix_ms = $1 \
 pub struct NewKeyRow {
     /// Public id.
     pub id: String,
-    /// To whom it belongs.
+    /// Tenant that owns the key.
     pub tenant: Tenant,
     /// Names of its rights, separated by spaces.
     pub rights: String,
@@ -50,7 +52,7 @@ pub struct NewKeyRow {
 /// A stored key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct KeyRow {
-    /// What it was created with; its expiry may have changed since.
+    /// The values with which it was created. Its expiry may have changed since.
     pub key: NewKeyRow,
     /// When it was revoked (ms since 1970-01-01 UTC).
     pub revoked_unix_ms: Option<i64>,
@@ -123,9 +125,9 @@ macro_rules! insert {
 }
 
 impl Store {
-    /// Stores a new key, and its tenant if that is new. If it takes the place of an earlier one,
-    /// that expires at this time (ms since 1970-01-01 UTC), or when it would anyway. `entry` is the
-    /// act's in the audit log.
+    /// Stores a new key, and its tenant if that is new. If the key replaces an earlier one, the
+    /// earlier key expires at this time (ms since 1970-01-01 UTC), or at its own expiry if that is
+    /// sooner. `entry` is the act's entry for the audit log.
     ///
     /// # Errors
     /// The database fails. An existing id is such a failure.
@@ -144,7 +146,8 @@ impl Store {
                 tenant.bind(new.created_unix_ms).execute(&mut *transaction).await?;
                 insert!(transaction, new, number);
                 if let Some((earlier, expires_unix_ms)) = replaces {
-                    // A number of its own: readers go on after the last one that they have.
+                    // Each change needs its own number, because readers continue after the last one
+                    // they have read.
                     let number: i64 =
                         sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
                     let expire = sqlx::query(EXPIRE).bind(expires_unix_ms).bind(number);
@@ -158,7 +161,7 @@ impl Store {
         created.map_err(StoreError::database("storing a key"))
     }
 
-    /// Revokes a key. One that is revoked stays as it is. `entry` is the act's in the audit log.
+    /// Revokes a key. A revoked key stays unchanged. `entry` is the act's entry for the audit log.
     ///
     /// # Errors
     /// The database fails.
@@ -184,7 +187,7 @@ impl Store {
         revoked.map_err(StoreError::database("revoking a key"))
     }
 
-    /// Notes when keys were last used, each by its id (ms since 1970-01-01 UTC).
+    /// Stores when keys were last used: each id with its time (ms since 1970-01-01 UTC).
     ///
     /// # Errors
     /// The database fails.
@@ -262,8 +265,8 @@ impl Store {
         count.map_err(StoreError::database("counting keys"))
     }
 
-    /// Keys that were changed after the change of this number, in the order of their changes; not
-    /// all of them if there are many.
+    /// Keys that were changed after the change with this number, in the order of their changes. If
+    /// there are many, the first of them.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.

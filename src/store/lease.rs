@@ -1,7 +1,7 @@
 //! The lease of a database: one service writes to it.
 //!
 //! On SQLite it is a lock on the file `DATABASE.lock`, which ends with the process. On Postgres it
-//! is an advisory lock of the committer's connection, so that whoever commits holds it; see
+//! is an advisory lock of the committer's connection, so that no other service can commit; see
 //! `committer::link`. Both name the holder.
 
 use std::fs::{File, OpenOptions};
@@ -24,7 +24,7 @@ impl FileLease {
     /// Locks the file beside `database` for the service `node`.
     ///
     /// # Errors
-    /// Another service has locked it, or it cannot be written.
+    /// Another service has locked the file, or it cannot be written.
     pub(super) fn take(database: &Path, node: &str) -> Result<Self, StoreError> {
         let mut name = database.as_os_str().to_owned();
         name.push(".lock");

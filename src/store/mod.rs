@@ -1,5 +1,5 @@
-//! The only room with SQL: sessions, bases, epochs, raw bytes, solutions, navigation data, keys and
-//! the audit log, in SQLite or Postgres.
+//! The only module with SQL: sessions, bases, epochs, raw bytes, solutions, navigation data, keys
+//! and the audit log, in SQLite or Postgres.
 //!
 //! [`Store`] has the pool of either database. Where possible, one text of SQL with `$1` serves
 //! both, and both give the same answers. The schema is in `migrations/`, embedded in the program,
@@ -7,10 +7,10 @@
 //!
 //! # Durability
 //! SQLite runs in WAL mode with `synchronous=FULL`: a commit returns when it is on the disk. On
-//! Postgres a connection sets `synchronous_commit` where it is off. [`Store::settings`] lists
-//! what else the server's settings say.
-//! [`Store::commit`] passes epochs and solutions to the committer. It writes those of many sessions
-//! in one transaction, and answers each session when the transaction is committed.
+//! Postgres a connection sets `synchronous_commit` where it is off. [`Store::settings`] lists the
+//! other settings of the server that matter. [`Store::commit`] passes epochs and solutions to the
+//! committer. The committer writes those of many sessions in one transaction, and answers each
+//! session when the transaction is committed.
 
 mod antennas;
 mod audit;
@@ -130,7 +130,7 @@ pub struct Store {
     file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
     days: Arc<Days>,
-    /// This node of a cluster.
+    /// This service as a node of a cluster.
     member: Option<Arc<Member>>,
     /// Name of the node.
     node: Arc<str>,
@@ -147,21 +147,21 @@ impl Store {
         Self::open_for(url, None, None).await
     }
 
-    /// The same for a service, which writes alone. It has the lease of the database until it
-    /// closes the store or ends.
+    /// Opens the database for a service that writes alone. It has the lease of the database until
+    /// it closes the store or ends.
     ///
     /// # Errors
-    /// Also if another service has the lease; [`StoreError::InUse`] names its node.
+    /// As for [`Self::open`]; or another service has the lease ([`StoreError::InUse`] names it).
     pub async fn open_alone(url: &str, node: &str) -> Result<Self, StoreError> {
         Self::open_for(url, Some(node), None).await
     }
 
-    /// The same for the node of a cluster, which others reach at `address`. It has a lease beside
-    /// those of the other nodes.
+    /// Opens the database for the node of a cluster, which other nodes reach at `address`. Each
+    /// node has a lease of its own.
     ///
     /// # Errors
-    /// Also if the database is not on Postgres, a service outside the cluster uses it, or a live
-    /// node has this name.
+    /// As for [`Self::open`]; or the database is not on Postgres, a service outside the cluster
+    /// uses it, or a live node has this name.
     pub async fn open_in_cluster(url: &str, node: &str, address: &str) -> Result<Self, StoreError> {
         Self::open_for(url, Some(node), Some(address)).await
     }
@@ -183,8 +183,8 @@ impl Store {
         let folder = database.folder().map(Into::into);
         let file = database.file().map(Into::into);
         let connector = Connector::new(database.clone(), pool.turn(), node);
-        // Before the schema of a running service is changed. Nodes of one schema start beside each
-        // other; to bring it up to date, none of them may run.
+        // This comes before any change of the schema that a running service uses. Nodes with the
+        // same schema may start while others run; to bring the schema up to date, no node may run.
         if member.is_none() || database.check_schema().await.is_err() {
             connector.check_lease().await?;
             database.migrate().await?;
@@ -212,9 +212,9 @@ impl Store {
         })
     }
 
-    /// Opens the database of `url` to change what no service has in its memory alone, such as keys;
-    /// a service may be using it. Commits fail with [`StoreError::Closed`]. Without a service the
-    /// database is created if absent, and its schema brought up to date.
+    /// Opens the database of `url` for changes that a service reads from the database, such as
+    /// keys; a service may use it at the same time. Commits fail with [`StoreError::Closed`].
+    /// Without a service the database is created if absent, and its schema brought up to date.
     ///
     /// # Errors
     /// The URL is invalid, the database cannot be reached, or a service uses it with another
@@ -230,8 +230,8 @@ impl Store {
         Ok(Self::without_committer(&database))
     }
 
-    /// Opens the database of `url`, which a service has made, to write what belongs to the caller
-    /// alone, such as claimed jobs. Commits fail with [`StoreError::Closed`].
+    /// Opens an existing database of a service, to write rows that belong to the caller alone, such
+    /// as claimed jobs. Commits fail with [`StoreError::Closed`].
     ///
     /// # Errors
     /// The URL is invalid, the database cannot be reached, or it has another schema.
@@ -241,8 +241,8 @@ impl Store {
         Ok(Self::without_committer(&database))
     }
 
-    /// Opens the database of `url` for reading. Nothing of it is changed, neither its schema; a
-    /// service may be using it. Commits fail with [`StoreError::Closed`].
+    /// Opens the database of `url` for reading. It changes nothing, not even the schema; a service
+    /// may use it at the same time. Commits fail with [`StoreError::Closed`].
     ///
     /// # Errors
     /// The URL is invalid, the database cannot be reached, or it has another schema.
@@ -280,36 +280,36 @@ impl Store {
         &self.node
     }
 
-    /// The store with the keys of what it stores encrypted. Without them it stores secrets as they
-    /// are, and reads no other.
+    /// The store with the keys that encrypt its secrets. Without keys it stores secrets in plain
+    /// text, and cannot read encrypted ones.
     #[must_use]
     pub fn with_secrets(mut self, secrets: Secrets) -> Self {
         self.secrets = Arc::new(secrets);
         self
     }
 
-    /// The keys of what is stored encrypted.
+    /// The keys that encrypt stored secrets.
     pub(crate) fn secrets(&self) -> &Secrets {
         &self.secrets
     }
 
-    /// The settings of the database that matter for what is stored, as they were at the start.
+    /// The settings of the database on which durability and size depend, as read at the start.
     pub fn settings(&self) -> &[DatabaseSetting] {
         &self.settings
     }
 
-    /// What the committer reports of itself.
+    /// State and counts of the committer.
     pub fn committer_health(&self) -> CommitterHealth {
         self.committer.health()
     }
 
-    /// Waits until another service turns out to have had the lease of the database since this one
-    /// last committed. This one must then start again: returns the error with which it ends.
+    /// Waits until it is known that another service had the lease of the database since this one
+    /// last committed. Returns the error with which this service must end, to start again.
     pub async fn lease_lost(&self) -> StoreError {
         self.committer.lease_lost().await
     }
 
-    /// What the committer has done since the start.
+    /// Meters of the committer since the start.
     pub(crate) const fn committer_meters(&self) -> &CommitterMeters {
         self.committer.meters()
     }
@@ -319,10 +319,10 @@ impl Store {
         self.committer.waiting()
     }
 
-    /// Checks that the database answers reads.
+    /// Checks that the database answers a read.
     ///
     /// # Errors
-    /// It does not within the deadline of a statement.
+    /// It does not answer within the deadline of a statement.
     pub(crate) async fn check_reads(&self) -> Result<(), StoreError> {
         let read: Result<i32, _> = reading!(&self.pool, pool => {
             sqlx::query_scalar("SELECT 1").fetch_one(pool).await
@@ -344,13 +344,13 @@ impl Store {
     /// Commits a batch, all of it or nothing. Returns when it is durable.
     ///
     /// # Errors
-    /// Nothing of the batch is stored, unless the error is [`StoreError::Unconfirmed`]. Then the
-    /// connection failed during the commit: ask `confirmed_last_number`.
+    /// Nothing of the batch is stored, unless the error is [`StoreError::Unconfirmed`]. In that
+    /// case the connection failed during the commit: ask `confirmed_last_number`.
     pub async fn commit(&self, batch: Batch) -> Result<(), StoreError> {
         self.committer.commit(batch).await
     }
 
-    /// Number of a session's last epoch, once commits work and no earlier commit is pending.
+    /// Number of a session's last epoch. Waits until commits work and no earlier one is pending.
     ///
     /// # Errors
     /// Commits do not work within the deadline, or the database fails.
@@ -367,8 +367,8 @@ impl Store {
         Ok(number.map(|seq| seq as u64))
     }
 
-    /// Commits the batches that wait, then closes the database. Later calls fail. Connections that
-    /// are not returned within the deadline of a statement are left to the end of the process.
+    /// Commits the waiting batches, then closes the database. Later calls fail. A connection that
+    /// is not returned within the deadline of a statement stays open until the process ends.
     pub async fn close(&self) {
         self.committer.stop().await;
         if let Some(task) = self.task.lock().await.take() {

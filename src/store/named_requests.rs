@@ -1,21 +1,21 @@
-//! Requests that create something and have a name of the client's, so that a repetition creates
-//! nothing.
+//! Requests that create something and carry a name chosen by the client. A repeated request with
+//! the same name creates nothing.
 
 use crate::tenant::Tenant;
 
 use super::pool::reading;
 use super::{Store, StoreError};
 
-/// The client's name of a request, and what it asks for.
+/// The client's name of a request, and the hash of its content.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NamedRequest {
-    /// The name, of which a tenant has one of each kind.
+    /// The name. It is unique for a tenant and the kind of object.
     pub name: String,
     /// Hash of the content.
     pub hash: String,
 }
 
-/// What a named request has created.
+/// The object that a named request has created.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub(crate) struct Created {
     /// Public id.
@@ -26,7 +26,7 @@ pub(crate) struct Created {
 }
 
 impl Store {
-    /// The session that a tenant's request of this name has created, unless it is deleted.
+    /// The session that a tenant's request with this name has created, unless it is deleted.
     ///
     /// # Errors
     /// The database fails.

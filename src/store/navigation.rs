@@ -51,20 +51,20 @@ pub struct NavigationRows {
     pub coefficients: Vec<StoredCoefficients>,
 }
 
-/// How the navigation data in force after one push differ from those after another.
+/// Difference between the navigation data in force after push `from` and after push `to`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct NavigationDifference {
-    /// Those that are in force only after the one push.
+    /// In force after push `from`, but not after push `to`.
     pub ended: NavigationRows,
-    /// Those that are in force only after the other.
+    /// In force after push `to`, but not after push `from`.
     pub begun: NavigationRows,
 }
 
-/// The beginning of the sources that own their data: these serve nobody else.
+/// Prefix of the sources that own their data. Such data serve only their owner.
 pub(crate) const OWNER_PREFIX: &str = "device ";
 
-/// The changes of one push. Data belong to an owner: a source that begins with `device `, or
-/// for all other sources the service, whose name is empty.
+/// The changes of one push. Data have an owner: the source itself if its name begins with
+/// `device `, otherwise the service, whose name is empty.
 #[derive(Clone, Debug)]
 pub struct NavigationChange<'a> {
     /// Number of the push that this one continues.
@@ -81,7 +81,7 @@ pub struct NavigationChange<'a> {
     pub source: &'a str,
     /// Time of the push (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
-    /// Superseded ephemerides that stay stored for replay; `None` to leave all of them.
+    /// Number of superseded ephemerides that stay stored for replay; `None` to keep all.
     pub superseded_limit: Option<usize>,
 }
 
@@ -100,7 +100,7 @@ const INSERT_RECORD: &str = "INSERT INTO navigation_records
 /// Selects the push that ended the newest ephemeris beyond the limit.
 const SURPLUS: &str = "SELECT until FROM ephemerides WHERE until IS NOT NULL
     ORDER BY until DESC LIMIT 1 OFFSET $1";
-/// Deletes the ephemerides that ended up to this push.
+/// Deletes the ephemerides that ended at this push or before.
 const FORGET: [&str; 3] = [
     "DELETE FROM ephemerides WHERE until <= $1",
     "DELETE FROM navigation_records WHERE until <= $1",
@@ -136,8 +136,8 @@ macro_rules! named {
 
 impl Store {
     /// Stores all navigation data of a push, or none. Returns the number of the push, which is the
-    /// next one; `None` if another push is stored after the one that this continues, and nothing of
-    /// it then.
+    /// next one. Returns `None` and stores nothing if another push came after the one that this
+    /// push continues.
     ///
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
@@ -295,7 +295,7 @@ impl Store {
         });
         let ephemerides = ephemerides.map_err(StoreError::database(READING))?;
         let records = records.map_err(StoreError::database(READING))?;
-        // Read last: nothing that was read has been forgotten before.
+        // Read last, so that the check also covers data that were removed during the reads.
         let (_, complete_since) = self.navigation_pushes().await?;
         if to < complete_since {
             return Err(StoreError::NavigationForgotten { push: to, complete_since });
@@ -322,14 +322,14 @@ impl Store {
     }
 }
 
-/// The pushes from which and before which a row is in force.
+/// The push from which a row is in force, and the push from which it no longer is.
 #[derive(sqlx::FromRow)]
 struct Span {
     since: i64,
     until: Option<i64>,
 }
 
-/// What becomes of a row between two pushes.
+/// How a row changes between two pushes.
 enum Change {
     Ended,
     Begun,
@@ -384,7 +384,7 @@ impl RecordRow {
     }
 }
 
-/// The owner of what a source brings: the source itself, or the service.
+/// The owner of the data of a source: the source itself, or the service.
 pub(crate) fn owner_of(source: &str) -> &str {
     if source.starts_with(OWNER_PREFIX) { source } else { "" }
 }
@@ -441,7 +441,7 @@ fn take_over(navigation: &mut Navigation, kind: &str, record: NavigationRecord) 
         (LEAP_SECONDS, NavigationRecord::LeapSeconds(seconds)) => {
             navigation.leap_seconds = LeapSeconds::with_broadcast(seconds);
         }
-        // A kind that a later Graphfix with the same schema added. It is ignored.
+        // A later Graphfix with the same schema has added this kind. It is ignored.
         _ => {}
     }
 }

@@ -1,9 +1,9 @@
-//! The nodes of a cluster on one Postgres: who is alive, who leads, and whose a session is.
+//! The nodes of a cluster on one Postgres: which are alive, which one leads, who owns a session.
 //!
-//! A session belongs to the node whose fence its head has, while `nodes` has that fence. A node
-//! claims a session that belongs to no live node; from then on nothing of the former owner is
-//! committed to it. A lease that has ended is removed here, and with it the connection that
-//! committed under it, so that no open transaction of it holds a row.
+//! A session belongs to the node whose fence is in its head, while `nodes` has that fence. A node
+//! claims a session that belongs to no live node. From then on the former owner can commit nothing
+//! to it. This module removes a lease that has ended, and ends the connection that committed under
+//! it, so that no open transaction of that node locks a row.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -23,10 +23,10 @@ pub(crate) const NODE_LEASE: Duration = LEASE;
 
 const ALIVE: &str = "SELECT fence, name, address, secret FROM nodes ORDER BY name";
 const LEADER: &str = "SELECT fence FROM leader";
-/// Who has waited for the lock of a row reads it again, as it is then.
+/// A statement that has waited for the lock of a row reads the row again before it decides.
 const END_LEASES: &str = "DELETE FROM nodes WHERE fence <> $1 AND expires_at < clock_timestamp() \
     RETURNING name, process";
-/// The process of the committer, if it still is one.
+/// Ends a server process, if it still belongs to a committer.
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND datname = current_database() AND application_name LIKE '% committer %'";
 const LEAD: &str = "UPDATE leader SET fence = $1 WHERE fence = $2 \
@@ -37,7 +37,7 @@ const OWNER: &str = "SELECT h.fence, n.name FROM session_heads h \
     LEFT JOIN nodes n ON n.fence = h.fence WHERE h.session = $1";
 const OWNER_BY_ID: &str = "SELECT h.fence FROM sessions s \
     JOIN session_heads h ON h.session = s.key WHERE s.id = $1";
-/// Claims what belongs to nobody alive, and has no other owner than the one read.
+/// Claims a session that belongs to no live node, if its fence is still the one that was read.
 const CLAIM: &str = "UPDATE session_heads SET owner = $1, fence = $2 \
     WHERE session = $3 AND fence = $4 \
     AND NOT EXISTS (SELECT 1 FROM nodes WHERE nodes.fence = $4) \
@@ -52,22 +52,22 @@ const READING: &str = "reading the nodes of the cluster";
 /// A node that is alive.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub struct NodeRow {
-    /// The number of its lease, which no other node ever has.
+    /// The number of its lease. No other lease ever has this number.
     pub fence: i64,
     /// Its name.
     pub name: String,
     /// Where other nodes reach it.
     pub address: String,
-    /// Shows other nodes that a request comes from it.
+    /// Proves to other nodes that a request comes from this node.
     pub secret: String,
 }
 
-/// What happened to a session that was to be claimed.
+/// Result of a successful claim of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Claim {
-    /// It was this node's already.
+    /// It already belonged to this node.
     Own,
-    /// It is this node's from now on: what is known of it from before is outdated.
+    /// It belongs to this node from now on. Anything in memory about it is outdated.
     Taken,
 }
 
@@ -77,12 +77,12 @@ impl Store {
         self.member.as_deref().map(Member::fence)
     }
 
-    /// Whether this service writes what one node of a cluster writes: it leads, or is alone.
+    /// Whether this service does the writes of a leader: it leads, or there is no cluster.
     pub(crate) fn leads(&self) -> bool {
         self.member.as_deref().is_none_or(|member| member.leads.load(Ordering::Acquire))
     }
 
-    /// Leads from now on.
+    /// Makes this node the leader, as far as the process knows.
     pub(crate) fn lead(&self) {
         if let Some(member) = &self.member {
             member.leads.store(true, Ordering::Release);
@@ -133,8 +133,8 @@ impl Store {
         ended.map_err(StoreError::database("ending the leases of other nodes"))
     }
 
-    /// Takes the lead from the node of fence `former`, if that is not alive. Returns whether it
-    /// has.
+    /// Takes the lead from the node with the fence `former`, if that node is not alive. Returns
+    /// whether it has taken it.
     ///
     /// # Errors
     /// The database fails.
@@ -145,8 +145,8 @@ impl Store {
         Ok(taken.map_err(StoreError::database("taking the lead"))?.rows_affected() == 1)
     }
 
-    /// Notes that this node has the folder of jobs of this identity, or none. Returns the other
-    /// live nodes that have one; without a cluster the list is empty.
+    /// Stores which folder of jobs this node has, by its identity, or that it has none. Returns the
+    /// other live nodes that have a folder; without a cluster the list is empty.
     ///
     /// # Errors
     /// The database fails.
@@ -173,10 +173,10 @@ impl Store {
         }
     }
 
-    /// Makes a session this node's, if it is no other live node's.
+    /// Claims a session for this node, if it belongs to no other live node.
     ///
     /// # Errors
-    /// It is another node's, or the database fails.
+    /// It belongs to another node, or the database fails.
     pub(crate) async fn claim(&self, session: SessionKey) -> Result<Claim, StoreError> {
         let Some((pool, member)) = self.cluster() else { return Ok(Claim::Own) };
         let failed = || StoreError::database(CLAIMING);
@@ -211,7 +211,7 @@ impl Store {
         released.map(drop).map_err(StoreError::database("giving up a session"))
     }
 
-    /// The fence of the last owner of the session of this id; `None` if nobody has owned it.
+    /// The fence of the last owner of the session with this id; `None` if nobody has owned it.
     ///
     /// # Errors
     /// The database fails.

@@ -1,4 +1,4 @@
-//! Notices by which the nodes of a cluster tell each other what they have stored.
+//! Notices by which a node of a cluster informs the others of what it has stored.
 
 use sqlx::postgres::PgListener;
 
@@ -14,7 +14,7 @@ pub(crate) enum Change {
 }
 
 impl Change {
-    /// The text of its notice.
+    /// The text of the notice.
     pub(super) const fn text(self) -> &'static str {
         match self {
             Self::Navigation => "navigation",
@@ -27,12 +27,12 @@ impl Change {
 pub(crate) struct Notices(PgListener);
 
 impl Notices {
-    /// Those that arrive at a connection.
+    /// The notices that arrive at a connection.
     pub(super) const fn of(listener: PgListener) -> Self {
         Self(listener)
     }
 
-    /// The next notice; `None` if some may be lost.
+    /// The next notice; `None` if some may have been lost.
     ///
     /// # Errors
     /// The connection failed.
@@ -45,8 +45,8 @@ impl Notices {
     }
 }
 
-/// Tells the other nodes of a change, when the transaction is committed. The store of a service
-/// without a cluster tells nobody.
+/// Notifies the other nodes of a change when the transaction is committed. Does nothing without a
+/// cluster.
 macro_rules! notify {
     ($store:expr, $transaction:expr, $change:expr) => {
         if $store.fence().is_some() {

@@ -12,7 +12,7 @@ pub struct Page<T> {
 }
 
 impl<T> Page<T> {
-    /// A page of `rows`, which were queried with one row more than `size`. `token` gives the token
+    /// A page of `rows`, which were read with one row more than `size`. `token` returns the token
     /// of the page after an item.
     pub(super) fn of(mut rows: Vec<T>, size: usize, token: impl FnOnce(&T) -> String) -> Self {
         let more = size < rows.len();

@@ -1,8 +1,8 @@
-//! The pools of the two databases. The committer has a connection of its own. Lists that somebody
-//! looks at have connections of their own, so that no device waits for them.
+//! The pools of the two databases. The committer has a connection of its own. Lists for people have
+//! connections of their own, so that no device waits for them.
 //!
-//! A read that nobody waits for any more must end in the database, too: a server ends it by its own
-//! limit, and SQLite asks now and then whether its time is over.
+//! A read that nobody waits for any more must also end in the database. A Postgres server ends it
+//! by its own limit, and SQLite checks from time to time whether the limit has passed.
 
 use std::fmt;
 use std::sync::Arc;
@@ -20,12 +20,12 @@ const SQLITE_READERS: u32 = 4;
 const SQLITE_LISTERS: u32 = 4;
 const POSTGRES_CONNECTIONS: u32 = 16;
 const POSTGRES_LISTERS: u32 = 4;
-/// Instructions of SQLite between two looks at the time: some 0.1 ms.
+/// SQLite instructions between two checks of the time: about 0.1 ms.
 const INSTRUCTIONS: i32 = 4_096;
-/// After a deadline, for its error to be the one that is reported.
+/// Time after a deadline, so that the error of the deadline is reported first.
 const GRACE: Duration = Duration::from_millis(100);
 
-/// The pools of one of the databases.
+/// The pools of one database.
 #[derive(Clone)]
 pub(super) enum Pool {
     /// SQLite: one connection writes beside the committer, the others read committed data.
@@ -36,7 +36,7 @@ pub(super) enum Pool {
         readers: SqlitePool,
         /// The connections that read lists.
         listers: SqlitePool,
-        /// Locked by who writes, in order of arrival. SQLite's own lock would be a matter of luck.
+        /// Locked by the writer, in order of arrival. SQLite's own lock has no order.
         turn: Arc<Mutex<()>>,
     },
     /// Postgres.
@@ -48,8 +48,8 @@ pub(super) enum Pool {
     },
 }
 
-/// Runs the same body on the reading pool of either database, with the deadline of a statement or,
-/// with `bulk`, of many rows; with `list`, on the connections for lists.
+/// Runs the same body on the reading pool of either database, with the deadline of a statement.
+/// With `bulk` it has the deadline for many rows; with `list` it uses the connections for lists.
 macro_rules! reading {
     (list $pool:expr, $executor:ident => $body:expr) => {
         match $pool {
@@ -108,8 +108,8 @@ impl Pool {
     pub(super) fn new(database: &Database) -> Self {
         match database {
             Database::Sqlite(options) => {
-                // After a commit that fails, as on a full disk, sqlx takes the connection for one
-                // within a transaction, and can begin no other.
+                // After a failed commit, for instance on a full disk, sqlx believes that the
+                // connection is still within a transaction, and can begin no other.
                 let writer =
                     SqlitePoolOptions::new().max_connections(1).after_release(|connection, _| {
                         Box::pin(async { Ok(!connection.is_in_transaction()) })
@@ -131,7 +131,7 @@ impl Pool {
         }
     }
 
-    /// One connection that reads, for what must not wait for other reads, and none that writes.
+    /// A pool with one connection for reads that must not wait for others, and none for writes.
     pub(super) fn of_one(database: &Database) -> Self {
         match database {
             Database::Sqlite(options) => {
@@ -150,7 +150,7 @@ impl Pool {
         }
     }
 
-    /// The turn of who writes, which the committer takes too.
+    /// The lock of the writer, which the committer takes, too.
     pub(super) fn turn(&self) -> Arc<Mutex<()>> {
         match self {
             Self::Sqlite { turn, .. } => turn.clone(),
@@ -173,13 +173,13 @@ impl Pool {
     }
 }
 
-/// Connections that read. Whatever a connection is used for ends within the limit.
+/// Connections that read. Each use of a connection ends within the limit.
 fn sqlite_readers(options: &SqliteConnectOptions, count: u32, limit: Duration) -> SqlitePool {
     SqlitePoolOptions::new()
         .max_connections(count)
         .acquire_timeout(DEADLINE)
         .after_connect(move |connection, _| Box::pin(end_after(connection, limit)))
-        // This also shows that the connection works.
+        // `before_acquire` also checks that the connection works.
         .test_before_acquire(false)
         .before_acquire(move |connection, _| {
             Box::pin(async move { end_after(connection, limit).await.map(|()| true) })
@@ -187,7 +187,7 @@ fn sqlite_readers(options: &SqliteConnectOptions, count: u32, limit: Duration) -
         .connect_lazy_with(options.clone())
 }
 
-/// Interrupts whatever runs on a connection when a time has passed.
+/// Interrupts a statement on the connection once the limit has passed.
 async fn end_after(connection: &mut SqliteConnection, limit: Duration) -> Result<(), sqlx::Error> {
     let end = Instant::now() + limit + GRACE;
     let mut connection = connection.lock_handle().await?;
@@ -218,8 +218,8 @@ impl fmt::Debug for Pool {
 mod tests {
     use super::*;
 
-    /// More lists than connections time out. Their connections serve again at once, and other reads
-    /// never wait.
+    /// When lists time out on all their connections, these connections serve again at once, and
+    /// other reads never wait.
     #[tokio::test]
     async fn a_read_whose_time_is_over_ends_in_the_database() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,5 @@
-//! Raw bytes of receivers: how far they are stored, and the bytes that restore their streams.
+//! Raw bytes of receivers: the position up to which they are stored, and the bytes that restore
+//! their streams.
 
 use bytes::Bytes;
 
@@ -7,7 +8,8 @@ use crate::gnss::GpsTime;
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError};
 
-/// How far a session's raw bytes are stored. Offsets count from the device's first byte.
+/// Position up to which a session's raw bytes are stored. Offsets count from the device's first
+/// byte.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RawPosition {
     /// Offset of the present stream's first byte.
@@ -70,7 +72,7 @@ struct RawRow {
 }
 
 impl Store {
-    /// How far a session's raw bytes are stored; `None` before the first byte.
+    /// Position up to which a session's raw bytes are stored; `None` before the first byte.
     ///
     /// # Errors
     /// The database fails.

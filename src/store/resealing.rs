@@ -1,5 +1,5 @@
-//! Stored secrets that are not yet under the key in force: those from before there was a key, and
-//! those under a former key.
+//! Stored secrets that are not encrypted with the key in force: those from before there was a key,
+//! and those under a former key.
 
 use sqlx::FromRow;
 
@@ -20,14 +20,14 @@ const PASSWORDS: &str = "SELECT base AS owner, password AS text, password_key AS
 const WEBHOOKS: &str = "SELECT id AS owner, webhook_secret AS text, webhook_secret_key AS key
     FROM jobs WHERE webhook_secret <> '' AND COALESCE(webhook_secret_key, '') <> $1
     ORDER BY id LIMIT $2";
-/// Ids of the keys under which secrets are stored, empty for none, each with their number.
+/// Counts the stored secrets by the id of their key, which is empty for plain text.
 const BY_KEY: &str = "SELECT id, COUNT(*) FROM (
         SELECT COALESCE(password_key, '') AS id FROM base_feeds WHERE password <> ''
         UNION ALL
         SELECT COALESCE(webhook_secret_key, '') FROM jobs WHERE webhook_secret <> '') AS stored
     GROUP BY id ORDER BY id";
 
-/// A secret with what it belongs to: the key of a base, or the id of a job.
+/// A secret with its owner: the key of a base, or the id of a job.
 #[derive(FromRow)]
 struct RawSecret<O> {
     owner: O,
@@ -35,10 +35,10 @@ struct RawSecret<O> {
     key: Option<String>,
 }
 
-/// How many secrets are stored under a key.
+/// Number of secrets that are stored under a key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SecretsUnder {
-    /// Id of the key; `None` for those that are not encrypted.
+    /// Id of the key; `None` for secrets that are not encrypted.
     pub key: Option<String>,
     /// Their number.
     pub secrets: u64,
@@ -61,11 +61,11 @@ impl Store {
         Ok(rows.into_iter().map(under).collect())
     }
 
-    /// Encrypts all stored secrets with the key in force, if there is one. Returns how many were
-    /// not yet under it.
+    /// Encrypts all stored secrets with the key in force, if there is one. Returns the number of
+    /// secrets that it changed.
     ///
     /// # Errors
-    /// A secret is under a key that is not given, or was changed; or the database fails.
+    /// A secret has an unknown key or was tampered with, or the database fails.
     pub async fn reseal(&self) -> Result<u64, StoreError> {
         let Some(key) = self.secrets.key_id() else {
             let unknown = self.secrets_by_key().await?.into_iter().find_map(|under| under.key);
@@ -85,7 +85,7 @@ impl Store {
         }
     }
 
-    /// Some secrets that are not under a key.
+    /// Some secrets that are not encrypted with this key.
     async fn other_secrets(
         &self,
         key: &str,
@@ -141,8 +141,8 @@ impl Store {
         written.map_err(StoreError::database("encrypting secrets"))
     }
 
-    /// Gives up the secrets under a key, with this entry in the audit log: their casters are asked
-    /// without a password, and their webhooks are told nothing more. Returns their number.
+    /// Gives up the secrets under a key, with this entry in the audit log. Their casters are then
+    /// asked without a password, and their webhooks get no further message. Returns their number.
     ///
     /// # Errors
     /// The database fails.

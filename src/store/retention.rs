@@ -1,14 +1,14 @@
 //! Removes epochs that are older than their session's retention, in steps.
 //!
 //! A session with a retention keeps the first snapshot of each day. Its epochs are removed up to
-//! the newest of these that is older than the retention, so that what remains can be replayed. From
-//! the first step on, nothing that is to be removed is found any more.
+//! the newest of these snapshots that is older than the retention, so that the remaining epochs can
+//! be replayed. The first step hides all epochs that are to be removed from readers.
 
 use super::pool::{Pool, reading, writing};
 use super::{SessionKey, Store, StoreError, StoredSnapshot};
 
-/// Sessions with snapshots that are older than their retention, with the newest of these and their
-/// number. `$1` is the day, `$2` the retention of sessions that have none of their own.
+/// Selects sessions that have kept snapshots older than their retention, with the newest of these
+/// and their count. `$1` is the day, `$2` the retention of sessions without one of their own.
 macro_rules! expired {
     ($condition:literal) => {
         concat!(
@@ -25,7 +25,7 @@ macro_rules! expired {
         )
     };
 }
-/// Sessions that were closed before their retention, with the number of their last epoch.
+/// Selects sessions that were closed longer ago than their retention, with their last number.
 macro_rules! expired_closed {
     ($condition:literal) => {
         concat!(
@@ -39,12 +39,12 @@ macro_rules! expired_closed {
         )
     };
 }
-/// Those whose heads do not tell it yet.
+/// Those whose heads are not marked yet.
 const TO_MARK: [&str; 2] = [
     expired!("x.through > COALESCE(h.removed_through, -1)"),
     expired_closed!("h.last_seq > COALESCE(h.removed_through, -1)"),
 ];
-/// Those of which rows are left.
+/// Those that still have rows to remove.
 const TO_REMOVE: [&str; 2] = [
     expired!(
         "(x.snapshots > 1 OR EXISTS \
@@ -56,34 +56,35 @@ const TO_REMOVE: [&str; 2] = [
          OR EXISTS (SELECT 1 FROM rollups m WHERE m.session = h.session AND m.seconds = 60))"
     ),
 ];
-/// What is counted as stored shrinks as the numbers of epochs do.
+/// Marks epochs as removed. `stored_bytes` shrinks in proportion to the number of epochs.
 const MARK: &str = "UPDATE session_heads SET removed_through = $2, stored_bytes = \
     CASE WHEN last_seq > $2 THEN CAST(stored_bytes * (1.0 * (last_seq - $2) \
     / (last_seq - COALESCE(removed_through, 0))) AS BIGINT) ELSE 0 END \
     WHERE session = $1 AND (removed_through IS NULL OR removed_through < $2)";
-/// Number of the epoch up to which a step removes.
+/// Number of the last epoch that a step removes.
 const LAST_OF_STEP: &str = "SELECT seq FROM epochs WHERE session = $1 AND seq <= $2 \
     ORDER BY seq LIMIT 1 OFFSET $3";
 const REMOVE: [&str; 2] = [
     "DELETE FROM revisions WHERE session = $1 AND seq <= $2",
     "DELETE FROM epochs WHERE session = $1 AND seq <= $2",
 ];
-/// Some of the minutes of which no epoch is left. Those of hours stay.
+/// Removes some minutes without any remaining epoch. Hours are kept.
 const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
     AND begin_s IN (SELECT begin_s FROM rollups \
     WHERE session = $1 AND seconds = 60 AND last_seq <= $2 LIMIT $3)";
-/// The snapshot after which the rest is replayed stays, if there is a rest.
+/// Removes snapshots. The one from which the remaining epochs are replayed is kept, if there are
+/// any.
 const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND (seq < $2 \
     OR EXISTS (SELECT 1 FROM session_heads h WHERE h.session = $1 \
     AND h.closed_unix_ms IS NOT NULL AND h.last_seq <= $2))";
-/// A closed session continues from no state.
+/// Removes the state of a closed session, which needs it no more.
 const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
     (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
 
 /// Sessions per query.
 const SESSIONS: i64 = 100;
-/// A file gives pages back to the disk while more than a quarter of them is free; the others are
-/// used again. Each step gives this many back (2 MiB).
+/// While more than a quarter of the pages of a file is free, each step gives this many back to the
+/// disk (2 MiB). The other free pages are used again.
 const PAGES_PER_STEP: &str = "PRAGMA incremental_vacuum(512)";
 const FREE_FRACTION: i64 = 4;
 
@@ -97,7 +98,7 @@ pub struct Expired {
 }
 
 impl Store {
-    /// Some of the sessions with epochs that are older than their retention on this day since
+    /// Some of the sessions that have epochs older than their retention on this day since
     /// 1970-01-01. Sessions without a retention of their own have `days`; 0 keeps everything.
     ///
     /// # Errors
@@ -116,7 +117,7 @@ impl Store {
             if found.is_empty() {
                 return Ok(());
             }
-            // One by one: a transaction that locks several heads could block a commit for ever.
+            // One at a time: a transaction that locks several heads could deadlock with a commit.
             for Expired { session, through } in found {
                 let marked = writing!(&self.pool, pool => {
                     let mark = sqlx::query(MARK).bind(session.0).bind(through as i64);
@@ -193,8 +194,8 @@ impl Store {
         remaining.map_err(StoreError::database("removing expired epochs"))
     }
 
-    /// Gives some pages of a file back to the disk if many are free. Returns whether there may be
-    /// more. A server does this itself.
+    /// Gives some free pages of a file back to the disk, if many are free. Returns whether there
+    /// may be more. A Postgres server does this itself.
     ///
     /// # Errors
     /// The database fails.
@@ -218,11 +219,11 @@ impl Store {
             let sql = "SELECT freelist_count FROM pragma_freelist_count()";
             sqlx::query_scalar(sql).fetch_one(pool).await
         });
-        // A file of an earlier version keeps its pages.
+        // A file of an earlier version cannot give pages back.
         Ok(left.map_err(StoreError::database("counting free pages"))? < free)
     }
 
-    /// Number through which a session's epochs are removed.
+    /// Number of the last epoch of a session that is removed.
     ///
     /// # Errors
     /// The database fails.

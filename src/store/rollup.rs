@@ -1,4 +1,4 @@
-//! Rollups as readers see them: what the first answers of a span of time have in common.
+//! Rollups as readers see them: sums and extremes of the first answers of a span of time.
 
 use crate::gnss::{GpsTime, Status};
 
@@ -8,7 +8,7 @@ use super::codec::status_number;
 /// Lengths of the buckets of rollups (s). They begin at whole minutes and hours of GPS time.
 pub(crate) const MINUTE_S: i64 = 60;
 pub(crate) const HOUR_S: i64 = 3_600;
-/// The quantities whose spread rollups have, with the unit at the end of their columns.
+/// The quantities whose spread rollups contain, with the unit at the end of their columns.
 pub(super) const QUANTITIES: [(&str, &str); 4] =
     [("height", "_m"), ("sigma", "_m"), ("satellites", ""), ("age", "_s")];
 
@@ -29,12 +29,12 @@ pub(super) fn status_of(number: i64, what: &'static str) -> Result<Status, Store
 pub struct StatusCounts([u64; Status::ALL.len()]);
 
 impl StatusCounts {
-    /// These counts, from the status none to the best one.
+    /// These counts, in order from the status `NONE` to the best one.
     pub(super) fn of(counts: [i64; Status::ALL.len()]) -> Self {
         Self(counts.map(|count| count.max(0) as u64))
     }
 
-    /// Each status with its count, from none to best.
+    /// Each status with its count, from the worst to the best.
     pub fn iter(&self) -> impl Iterator<Item = (Status, u64)> {
         Status::ALL.into_iter().zip(self.0)
     }
@@ -44,7 +44,7 @@ impl StatusCounts {
         self.0.iter().sum()
     }
 
-    /// The worst and the best status that an epoch has.
+    /// The worst and the best status that occur.
     pub fn ends(&self) -> Option<(Status, Status)> {
         let given = || self.iter().filter(|(_, count)| *count != 0).map(|(status, _)| status);
         given().next().zip(given().last())
@@ -93,7 +93,7 @@ impl Spread {
 pub struct Bounds {
     /// Least latitude.
     pub south_deg: f64,
-    /// Western meridian. East of the eastern one if the area crosses 180°.
+    /// Western meridian. It lies east of `east_deg` if the area crosses 180°.
     pub west_deg: f64,
     /// Greatest latitude.
     pub north_deg: f64,
@@ -120,7 +120,7 @@ impl Bounds {
     }
 }
 
-/// What the first answers to the epochs of a bucket, or of several, have in common.
+/// Sums and extremes of the first answers to the epochs of a bucket, or of several.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rollup {
     /// When its bucket begins.
@@ -148,9 +148,9 @@ pub struct Rollup {
 }
 
 impl Rollup {
-    /// Takes in the rollup of another bucket of the same session.
+    /// Adds the rollup of another bucket of the same session.
     pub(crate) fn add(&mut self, other: &Self) {
-        // Times of an earlier arc may be later; numbers rise through all arcs.
+        // Times of an earlier arc may be later than those of a later one; numbers always rise.
         let (earlier, later) =
             if self.last_seq < other.last_seq { (*self, *other) } else { (*other, *self) };
         let spread =
@@ -172,7 +172,7 @@ impl Rollup {
     }
 }
 
-/// Both as one, or the one that there is.
+/// Both values combined, or the one that exists.
 fn merged<T>(earlier: Option<T>, later: Option<T>, both: impl Fn(T, T) -> T) -> Option<T> {
     match (earlier, later) {
         (Some(earlier), Some(later)) => Some(both(earlier, later)),
@@ -211,7 +211,8 @@ mod tests {
         }
     }
 
-    /// The later number is the last one, although its time is earlier, as after a reset.
+    /// The epoch with the higher number is the last one, even if its time is earlier, as after a
+    /// reset.
     #[test]
     fn the_last_epoch_is_that_with_the_greatest_number() {
         let mut sum = rollup(1, 120.0, 3.0);

@@ -14,19 +14,19 @@ pub struct SessionFilter {
 }
 
 impl SessionFilter {
-    /// What [`condition`] compares with the time at which a session was closed.
+    /// Column of `is_closed` that [`condition`] compares: 0 for all, 1 for open, 2 for closed.
     pub(super) fn closed_column(&self) -> i32 {
         self.is_closed.map_or(0, |is_closed| if is_closed { 2 } else { 1 })
     }
 
-    /// The key before all others of the list.
+    /// Row key before the first session of the list.
     pub(super) const fn start(&self) -> i64 {
         if self.oldest_first { i64::MIN } else { i64::MAX }
     }
 }
 
-/// The rest of a query of `sessions s` and their heads `h`, from `WHERE` on: the tenant, the key
-/// before the page, the number of rows, and the filter's columns.
+/// The end of a query of `sessions s` and their heads `h`, from `WHERE` on. It compares the tenant,
+/// the key before the page, the number of rows, and the filter's columns.
 macro_rules! condition {
     ($after:literal) => {
         concat!(

@@ -15,14 +15,14 @@ use super::{
 };
 
 const PAGE_LIMIT: usize = 1_000;
-/// In the column of a session's choice of bases: the nearest of several.
+/// Column value of a session that uses the nearest of several bases.
 const NEAREST_OF: i32 = 1;
 
 /// Primary key of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SessionKey(pub(super) i64);
 
-/// The settings of a session, and the configuration that follows from them.
+/// The settings of a session, and the configuration that results from them.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SessionSettings {
     /// A name for people.
@@ -41,7 +41,7 @@ pub struct SessionSettings {
     pub base: BaseChoice,
     /// The rover's antenna, if the session corrects for antennas.
     pub antenna: Option<AntennaName>,
-    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    /// Time for which epochs are kept (days); 0 for ever, `None` for the service's setting.
     pub retention_days: Option<u32>,
 }
 
@@ -65,7 +65,7 @@ pub struct SessionRow {
     pub key: SessionKey,
     /// Public id of the session.
     pub id: String,
-    /// To whom it belongs.
+    /// Tenant that owns the session.
     pub tenant: Tenant,
     /// Settings of the session.
     pub settings: SessionSettings,
@@ -77,7 +77,7 @@ pub struct SessionRow {
     pub last_seq: Option<u64>,
     /// Number of stored raw bytes.
     pub raw_through: Option<u64>,
-    /// Number through which epochs are removed, as they are older than the retention.
+    /// Number of the last epoch that is removed because it is older than the retention.
     pub removed_through: Option<u64>,
 }
 
@@ -105,14 +105,15 @@ struct RawSession {
     calibration: Option<String>,
 }
 
-/// A base among which a session takes the nearest: key of the session, key and id of the base.
+/// A candidate base of a session: key of the session, key and id of the base.
 type CandidateRow = (i64, i64, String);
 
 /// Mode, profile and options of a configuration, and the hash of the rover antenna's calibration.
 type ConfigurationRow = (String, String, String, Option<String>);
 
 impl RawSession {
-    /// Decodes the row. `candidates` has the bases of sessions that take the nearest of several.
+    /// Decodes the row. `candidates` contains the bases of sessions that use the nearest of
+    /// several.
     fn parse(self, candidates: &[CandidateRow]) -> Result<SessionRow, StoreError> {
         let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
         let base = match self.base_choice {
@@ -178,7 +179,7 @@ const fn choice_column(base: &BaseChoice) -> i32 {
     }
 }
 
-/// Stores the bases among which a session takes the nearest.
+/// Stores a candidate base of a session.
 macro_rules! insert_candidates {
     ($transaction:ident, $session:expr, $base:expr) => {
         if let BaseChoice::NearestOf(bases) = $base {
@@ -191,7 +192,7 @@ macro_rules! insert_candidates {
     };
 }
 
-/// The columns of [`RawSession`], up to the condition.
+/// Selects the columns of [`RawSession`]; a condition follows.
 macro_rules! select_sessions {
     ($($condition:tt)+) => {
         concat!(
@@ -222,10 +223,10 @@ impl Store {
         Ok(created.await?.expect("only a named request can meet another of its name"))
     }
 
-    /// The same by a request with a name; `None` if another of this name has created one.
+    /// Stores a new session of a named request; `None` if one with this name has created a session.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::create_session`].
     pub(crate) async fn create_session_once(
         &self,
         tenant: &Tenant,
@@ -299,8 +300,8 @@ impl Store {
         self.session_of(tenant.name(), id).await
     }
 
-    /// The session with this id, of whichever tenant: for its own task, and for who has the
-    /// database.
+    /// The session with this id, of any tenant: for the session's own task, and for commands with
+    /// direct access to the database.
     ///
     /// # Errors
     /// The database fails, or the row is corrupt.
@@ -308,7 +309,7 @@ impl Store {
         self.session_of("", id).await
     }
 
-    /// The session of a tenant, or of any if its name is empty.
+    /// The session of a tenant; of any tenant if the name is empty.
     async fn session_of(&self, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
         let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
             let sql = select_sessions!(
@@ -326,7 +327,7 @@ impl Store {
         row.parse(&candidates).map(Some)
     }
 
-    /// The key of a tenant's session, of deleted ones too.
+    /// The key of a tenant's session, even if it is deleted.
     pub(super) async fn key_of(
         &self,
         tenant: &Tenant,
@@ -339,7 +340,7 @@ impl Store {
         key.map_err(StoreError::database("reading a session"))
     }
 
-    /// The candidate bases of the sessions in a range of keys, in the order of each session.
+    /// The candidate bases of the sessions in a range of keys, in the order that each session has.
     async fn candidates(&self, from: i64, to: i64) -> Result<Vec<CandidateRow>, StoreError> {
         let rows: Result<Vec<CandidateRow>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT session, bases.key, bases.id FROM session_bases
@@ -387,7 +388,7 @@ impl Store {
         Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))
     }
 
-    /// Replaces a session's settings, and notes it.
+    /// Replaces a session's settings, and writes the entry of the audit log.
     ///
     /// # Errors
     /// The database fails.

@@ -1,7 +1,7 @@
-//! Sign-ins of browsers as rows. A row has the hash of its cookie, never the cookie.
+//! Sign-ins of browsers as rows. A row contains the hash of the cookie, never the cookie.
 //!
-//! Their changes are numbered with those of keys, so that whoever has them in memory reads only
-//! what has changed.
+//! Changes of sign-ins and of keys share one sequence of numbers. So a service that has them in
+//! memory reads only the changes.
 
 use super::keys::COUNT_UP;
 use super::pool::{reading, writing};
@@ -9,7 +9,7 @@ use super::{Store, StoreError};
 
 /// Sign-ins read at a time.
 const CHANGES: i64 = 1_000;
-/// For how long a sign-in that was ended is kept (ms), so that other nodes learn of it.
+/// Time for which an ended sign-in is kept (ms), so that other nodes learn of its end.
 const KEPT_MS: i64 = 600_000;
 
 const REMOVE: &str = "DELETE FROM sign_ins WHERE expires_unix_ms < $1";
@@ -28,7 +28,7 @@ pub struct SignInRow {
     pub key: String,
     /// When it ends (ms since 1970-01-01 UTC), unless its key ends before.
     pub expires_unix_ms: i64,
-    /// Whether it was ended before.
+    /// Whether it was ended before it expired.
     pub is_ended: bool,
     /// Number of its last change.
     pub changed: i64,
@@ -59,8 +59,8 @@ impl RawSignIn {
     }
 }
 
-/// Ends sign-ins within a transaction. Each change has a number of its own, as readers go on after
-/// the last number that they have.
+/// Ends sign-ins within a transaction. Each change has its own number, because readers continue
+/// after the last number that they have read.
 macro_rules! end {
     ($transaction:expr, $hashes:expr, $unix_ms:expr) => {
         for hash in $hashes {
@@ -72,8 +72,8 @@ macro_rules! end {
 }
 
 impl Store {
-    /// Stores a sign-in of the browser with the cookie of this hash, by the key of this id, and
-    /// ends others to make room (`ended`). Rows whose time is over are removed.
+    /// Stores a sign-in of the browser with this hash of a cookie, by the key with this id. It ends
+    /// the sign-ins `ended` to make room, and removes expired rows.
     ///
     /// # Errors
     /// The database fails.
@@ -121,8 +121,8 @@ impl Store {
         ended.map_err(StoreError::database("ending a sign-in"))
     }
 
-    /// Sign-ins that were changed after the change of this number, in the order of their changes;
-    /// not all of them if there are many.
+    /// Sign-ins that were changed after the change with this number, in the order of their changes.
+    /// If there are many, the first of them.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.

@@ -1,4 +1,4 @@
-//! Lists solutions: the first answers, which stand with their epochs, and the revisions.
+//! Lists solutions: first answers, which are in the rows of their epochs, and revisions.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -14,9 +14,9 @@ use super::pool::{Pool, reading};
 use super::{Page, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
-/// Epochs that are looked through for those of one status. A page ends there, full or not.
+/// Most epochs that are searched for a status. A page ends there, even if it is not full.
 const SCANNED_EPOCHS: usize = 20_000;
-/// The number of the epoch after so many others.
+/// Number of the epoch that comes a given number of epochs later.
 const NUMBER_AFTER: &str = "SELECT seq FROM epochs \
     WHERE session = $1 AND seq >= $2 AND seq <= $3 AND seq > COALESCE(\
     (SELECT removed_through FROM session_heads h WHERE h.session = $1), -1) \
@@ -37,7 +37,7 @@ pub struct StoredSolution {
     pub configuration_hash: Arc<str>,
 }
 
-/// The revisions of each epoch's solution to list.
+/// Which revisions of each epoch's solution are listed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Revisions {
     /// The real-time answer.
@@ -50,7 +50,7 @@ pub enum Revisions {
     Later,
 }
 
-/// The solutions to list.
+/// Which solutions are listed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SolutionQuery {
     /// First time tag.
@@ -91,7 +91,7 @@ pub(super) struct RawSolution {
 }
 
 impl RawSolution {
-    /// The solution, decoded with the encoded first answer of its epoch if it is relative to it.
+    /// The solution. A relative one is decoded with `first`, the encoded first answer of its epoch.
     pub(super) fn parse(self, first: Option<&[u8]>) -> Result<StoredSolution, StoreError> {
         let time = GpsTime::from_ns(self.gps_time_ns);
         let columns = SolutionColumns { time, position_m: [self.x_m, self.y_m, self.z_m] };
@@ -112,7 +112,7 @@ impl RawSolution {
     }
 }
 
-/// The columns of [`RawSolution`] of an epoch's first answer `e`, and of a revision `r`.
+/// The columns of [`RawSolution`]: of an epoch's first answer `e`, or of a revision `r`.
 macro_rules! columns {
     (first) => {
         "SELECT e.seq AS seq, 0 AS revision, e.gps_time_ns AS gps_time_ns, e.x_m AS x_m, \
@@ -159,8 +159,8 @@ macro_rules! conditions {
         )
     };
 }
-/// A page of answers and revisions. Each table gives as many rows as a page has, so that neither is
-/// read to its end.
+/// A page of answers and revisions. Each table returns at most as many rows as the page has, so
+/// that neither is read to its end.
 macro_rules! list {
     ($condition_of_first:literal, $condition_of_revision:literal) => {
         concat!(
@@ -181,7 +181,8 @@ macro_rules! list {
 
 impl Store {
     /// A page of a session's solutions in order of epoch number and revision. It may have fewer
-    /// than its size, or none, although there are more: its token tells.
+    /// items than its size, or none, even if there are more. The list ends when a page has no
+    /// token.
     ///
     /// # Errors
     /// The page token or size is invalid, the database fails, or a row is corrupt.
@@ -207,16 +208,16 @@ impl Store {
         let rows = rows.map_err(StoreError::database("listing solutions"))?;
         let token = |row: &RawSolution| format!("{}.{}", row.seq, row.revision);
         let Page { mut items, next_page_token } = Page::of(rows, query.page_size, token);
-        // Of a revision that was stored on two days, one is listed.
+        // A revision that was stored on two days is listed once.
         items.dedup_by_key(|row| (row.seq, row.revision));
         let items = self.decoded_solutions(session, items).await?;
         let beyond = || scanned.map(|seq| format!("{seq}.{}", i32::MAX));
         Ok(Page { items, next_page_token: next_page_token.or_else(beyond) })
     }
 
-    /// Number of the epoch with which a page ends at the latest; `None` if no limit is reached
-    /// between these numbers. Without it, a database would look through a whole session for a
-    /// status, or for the revisions that are the last ones.
+    /// Number of the last epoch that a page may reach; `None` if there is no such limit between
+    /// these numbers. Without a limit the database could search a whole session for a status or for
+    /// the newest revisions.
     async fn scanned_through(
         &self,
         session: SessionKey,
@@ -312,8 +313,8 @@ impl Store {
             .await)
     }
 
-    /// Decodes rows in their order. First answers that revisions need, and that are not among the
-    /// rows, are read. Revisions that have expired since they were read are left out.
+    /// Decodes rows in their order. It reads the first answers that revisions need, unless they are
+    /// among the rows. Revisions that have expired since they were read are left out.
     async fn decoded_solutions(
         &self,
         session: SessionKey,
@@ -375,7 +376,7 @@ impl Store {
     }
 }
 
-/// A span of time as columns; an open end has no limit.
+/// A span of time as columns; an open end is the least or greatest value.
 pub(super) fn time_columns(from: Option<GpsTime>, to: Option<GpsTime>) -> (i64, i64) {
     (from.map_or(i64::MIN, GpsTime::as_ns), to.map_or(i64::MAX, GpsTime::as_ns))
 }
@@ -401,7 +402,7 @@ mod tests {
         EncodedEpoch::new(Arc::new(Epoch::new(answer.solution.time)), &answer, 0, None, None)
     }
 
-    /// A list for a status that no epoch has reads some thousand epochs a page, not the session.
+    /// A list for a status that no epoch has reads only some thousand epochs a page.
     #[tokio::test]
     async fn a_page_looks_through_some_epochs_only() {
         let folder = tempfile::tempdir().unwrap();

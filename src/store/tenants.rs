@@ -1,7 +1,7 @@
-//! Tenants as rows, with their quotas, and what they have stored.
+//! Tenants as rows: their quotas, and the amount that they have stored.
 //!
-//! As with keys, each change of a quota has a number, so whoever has the quotas in memory reads
-//! only what has changed.
+//! Each change of a quota has a number, as with keys. So a service that has the quotas in memory
+//! reads only the changes.
 
 use crate::tenant::{Quotas, Tenant};
 
@@ -9,9 +9,10 @@ use super::audit::note;
 use super::pool::{reading, writing};
 use super::{Act, Author, Store, StoreError};
 
-/// Counts a change up. As the first statement of a transaction it lets others wait until the end.
+/// Takes the next number of a change. It is the first statement of a transaction, so other
+/// transactions with a change wait until this one ends.
 const COUNT_UP: &str = "UPDATE tenant_changes SET number = number + 1 RETURNING number";
-/// A tenant exists from its first key on, or once it has quotas.
+/// A tenant exists since its first key, or since its quotas were first set.
 const SET: &str = "INSERT INTO tenants (name, created_unix_ms, sessions, epochs_per_s, \
     cpu_s_per_minute, stored_bytes, job_bytes, changed) \
     VALUES ($1, $2, $3, $4, $5, $6, $7, $8) \
@@ -33,7 +34,7 @@ pub struct TenantRow {
     pub changed: i64,
 }
 
-/// What a tenant has stored.
+/// The amount that a tenant has stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TenantUse {
     /// Number of sessions, open and closed.
@@ -76,8 +77,8 @@ macro_rules! select_tenants {
 }
 
 impl Store {
-    /// Sets the quotas of a tenant, which exists from then on, as an act of `author`. Returns
-    /// `false` if the number of its last change is not `expected`, if one is given.
+    /// Sets the quotas of a tenant, as an act of `author`. The tenant exists from then on. With
+    /// `expected`, returns `false` if the tenant's last change has another number.
     ///
     /// # Errors
     /// The database fails.
@@ -157,7 +158,8 @@ impl Store {
         Ok(rows.into_iter().map(RawTenant::parse).collect())
     }
 
-    /// Tenants whose quotas were set after the change of this number, in the order of the changes.
+    /// Tenants whose quotas were set after the change with this number, in the order of the
+    /// changes.
     ///
     /// # Errors
     /// The database fails.
@@ -170,7 +172,7 @@ impl Store {
         Ok(rows.into_iter().map(RawTenant::parse).collect())
     }
 
-    /// What a tenant has stored.
+    /// The amount that a tenant has stored.
     ///
     /// # Errors
     /// The database fails.

@@ -1,5 +1,5 @@
-//! Finds epoch numbers by time. Within an arc of a session time rises with the number, so a search
-//! in the index of numbers finds a time in few reads, and times need no index.
+//! Finds epoch numbers by time. Within an arc of a session, time rises with the number. So a search
+//! in the index of numbers finds a time with few reads, and times need no index.
 
 use crate::gnss::GpsTime;
 
@@ -16,7 +16,7 @@ const LAST_UNTIL: &str = "SELECT seq, gps_time_ns FROM epochs \
 
 impl Store {
     /// The numbers of the first and the last stored epoch of a session above number `after` and in
-    /// a span of time, over all arcs. Epochs of other times may lie between them.
+    /// a span of time, over all arcs. Epochs outside the span may lie between them.
     ///
     /// # Errors
     /// The database fails.
@@ -35,8 +35,8 @@ impl Store {
         Ok(ends.map(|(first, last)| (first.0 as u64, last.0 as u64)))
     }
 
-    /// The first and last epoch number of a span of time, over all arcs of a session. Epochs of
-    /// other times may lie between them.
+    /// The first and last epoch number of a span of time, over all arcs of a session. Epochs
+    /// outside the span may lie between them.
     pub(super) async fn numbers_between(
         &self,
         session: SessionKey,
@@ -60,7 +60,7 @@ impl Store {
         Ok(span)
     }
 
-    /// The same within an arc, by its first and last number.
+    /// Like [`Self::numbers_between`], within an arc that is given by its first and last number.
     async fn numbers_in_arc(
         &self,
         session: SessionKey,
@@ -75,7 +75,8 @@ impl Store {
             None => Some(oldest.0),
             Some(from) => self.first_not_before(session, from.as_ns(), oldest, newest).await?,
         };
-        // The first epoch after the span; without one, the span reaches to the end of the arc.
+        // The first epoch after the span. Without such an epoch, the span reaches to the end of the
+        // arc.
         let beyond = match to {
             None => None,
             Some(to) if to.as_ns() == i64::MAX => None,
@@ -87,8 +88,8 @@ impl Store {
 
     /// Number of the first epoch at this time or later, between two epochs of an arc.
     ///
-    /// The time divides the span of numbers as it divides the span of times. Each second read
-    /// halves the numbers instead, so that the reads are at most twice their bits.
+    /// The search alternates between interpolation, in proportion to the time, and halving of the
+    /// numbers. So it needs at most two steps per bit of the number of epochs.
     async fn first_not_before(
         &self,
         session: SessionKey,
@@ -99,7 +100,7 @@ impl Store {
         if newest.1 < time_ns {
             return Ok(None);
         }
-        // `before` is before the time, `found` is not; what lies between is not known.
+        // `before` is earlier than the time, `found` is not; the epochs between are not known yet.
         let (mut before, mut found, mut halves) = (oldest, newest, false);
         if time_ns <= oldest.1 {
             return Ok(Some(oldest.0));
@@ -137,7 +138,7 @@ impl Store {
     }
 }
 
-/// A number between those of two epochs, as far as the time is between theirs.
+/// A number between those of two epochs, in proportion to the time.
 fn interpolated(time_ns: i64, before: Found, found: Found) -> i64 {
     let (numbers, times) = (found.0 - before.0, (found.1 as f64) - (before.1 as f64));
     let fraction = (time_ns as f64 - before.1 as f64) / times.max(1.0);

@@ -7,14 +7,14 @@
 use super::CodecError;
 use super::bytes::{Decoder, Encoder};
 
-/// This many ones announce a value with all its bits.
+/// This many ones mean that the value follows with all its bits.
 const ESCAPE: u32 = 20;
 const WHOLE: u32 = u64::BITS;
-/// Bits of the length of [`BitWriter::sized`].
+/// Bits of the length that [`BitWriter::sized`] writes.
 const LENGTH_BITS: u32 = 6;
 
-/// Bits that are appended at once at most, so that they fit beside those that are held; as many go
-/// on to the encoder at once.
+/// Most bits that are appended at once, so that they fit beside the bits in `held`. The encoder
+/// receives this many bits at a time.
 const AT_ONCE: u32 = 32;
 
 /// Appends bits to an encoder, the highest first.
@@ -50,7 +50,7 @@ impl<'a> BitWriter<'a> {
         self.few_bits(value, AT_ONCE);
     }
 
-    /// The same of at most [`AT_ONCE`] bits.
+    /// Like [`Self::bits`], for at most [`AT_ONCE`] bits.
     #[inline]
     fn few_bits(&mut self, value: u64, count: u32) {
         self.held = self.held << count | value & ((1 << count) - 1);
@@ -92,7 +92,7 @@ const fn rice_bits(value: u64, k: u32) -> u64 {
     if ones < ESCAPE as u64 { ones + 1 + k as u64 } else { (ESCAPE + WHOLE) as u64 }
 }
 
-/// The parameter that writes these values in few bits. The order of the values changes.
+/// The parameter k that needs the fewest bits for these values. Reorders the values.
 pub(super) fn rice_parameter(values: &mut [u64]) -> u32 {
     let middle = values.len() / 2;
     let median = if values.is_empty() { 0 } else { *values.select_nth_unstable(middle).1 };
@@ -114,7 +114,7 @@ impl<'d, 'a> BitReader<'d, 'a> {
         Self { input, held: 0, left: 0 }
     }
 
-    /// Ends within the last byte, whose other bits are zero.
+    /// Checks that less than a byte is left, and that its unread bits are zero.
     pub(super) fn finish(self) -> Result<(), CodecError> {
         match u64::from(self.held) & ((1 << self.left) - 1) {
             0 => Ok(()),

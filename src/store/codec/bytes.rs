@@ -7,12 +7,12 @@ use crate::gnss::{Constellation, GpsTime, SatelliteId};
 
 use super::CodecError;
 
-/// Up to this number of thousandths, a value takes no more bytes than an `f64`.
+/// Below this number of thousandths, a value takes no more bytes than an `f64`.
 const THOUSANDTHS_MAX: u64 = 1 << 55;
-/// Below 2⁵¹ all halves are `f64`.
+/// Below 2⁵¹ an `f64` represents every multiple of one half.
 const HALVES_MAX: f64 = (1_u64 << 51) as f64;
 const NS_PER_MS: i64 = 1_000_000;
-/// In place of a span in whole milliseconds.
+/// Written where the span is not a whole number of milliseconds; those are written doubled.
 const NOT_WHOLE: i64 = 1;
 
 /// A signed integer as an unsigned one that is small if its magnitude is.
@@ -20,7 +20,7 @@ pub(super) const fn zigzag(value: i64) -> u64 {
     ((value << 1) ^ (value >> 63)) as u64
 }
 
-/// The integer of [`zigzag`].
+/// The inverse of [`zigzag`].
 pub(super) const fn unzigzag(value: u64) -> i64 {
     (value >> 1) as i64 ^ -((value & 1) as i64)
 }
@@ -29,7 +29,7 @@ pub(super) const fn unzigzag(value: u64) -> i64 {
 pub(super) fn thousandths(value: f64) -> Option<i64> {
     let scaled = value * 1e3;
     // The cast saturates and turns NaN into zero; the comparison of bits excludes both. `round` is
-    // a call where the processor is not known to round; a half added is exact up to this limit.
+    // a function call on processors that cannot round; adding a half is exact below `HALVES_MAX`.
     let thousandths = match scaled.abs() < HALVES_MAX {
         true => (scaled + 0.5_f64.copysign(scaled)) as i64,
         false => scaled.round() as i64,
@@ -41,7 +41,7 @@ pub(super) fn thousandths(value: f64) -> Option<i64> {
 /// Appends primitives to a buffer.
 pub(super) struct Encoder {
     bytes: Vec<u8>,
-    /// Where `f64` go, if apart from all else.
+    /// The `f64` values, if they are kept apart from everything else.
     floats: Option<Vec<u8>>,
 }
 
@@ -61,7 +61,7 @@ impl Encoder {
         self.bytes
     }
 
-    /// All but the `f64`, and these.
+    /// The bytes of everything but the `f64` values, and the bytes of the `f64` values.
     pub(super) fn parts(self) -> (Vec<u8>, Vec<u8>) {
         (self.bytes, self.floats.unwrap_or_default())
     }
@@ -159,7 +159,7 @@ impl Encoder {
 pub(super) struct Decoder<'a> {
     bytes: &'a [u8],
     offset: usize,
-    /// What is left of the `f64`, if they are apart.
+    /// The unread `f64` values, if they are kept apart.
     floats: Option<&'a [u8]>,
 }
 
@@ -181,7 +181,7 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// Reads what [`Encoder::parts`] gave.
+    /// Reads both parts that [`Encoder::parts`] returned.
     pub(super) const fn of_parts(bytes: &'a [u8], floats: &'a [u8]) -> Self {
         Self { bytes, offset: 0, floats: Some(floats) }
     }
@@ -263,7 +263,7 @@ impl<'a> Decoder<'a> {
         if left < count { Err(self.invalid(what)) } else { Ok(count) }
     }
 
-    /// The same where each item has at least one bit.
+    /// Like [`Self::count`], for items of at least one bit.
     pub(super) fn count_of_bits(&mut self, what: &'static str) -> Result<usize, CodecError> {
         let count = self.usize(what)?;
         let left = self.bytes.len() - self.offset;
@@ -416,7 +416,7 @@ mod tests {
         fn thousandths_keep_the_bits(bits: u64, decimal in -1e12_f64..1e12) {
             let whole = (decimal * 1e3).round() / 1e3;
             prop_assert!(thousandths(whole).is_some());
-            // Without the way around `round`.
+            // Always rounds with `round`, unlike `thousandths`.
             let rounded = |value: f64| Some((value * 1e3).round() as i64).filter(|thousandths| {
                 let is_exact = (*thousandths as f64 / 1e3).to_bits() == value.to_bits();
                 is_exact && thousandths.unsigned_abs() < THOUSANDTHS_MAX

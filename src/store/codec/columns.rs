@@ -1,5 +1,5 @@
-//! What the columns of a row hold of its solution: what restores it, and what only serves readers
-//! of SQL.
+//! Columns of a row that repeat values of its solution: some are needed to restore it, others serve
+//! only readers of SQL.
 
 use nalgebra::Matrix3;
 
@@ -8,7 +8,7 @@ use crate::gnss::{Ecef, GpsTime, LocalFrame, Solution, Status};
 const MM_PER_M: f64 = 1e3;
 const MS_PER_S: f64 = 1e3;
 
-/// What the columns of a row hold of its solution.
+/// The columns that are needed to restore a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::store) struct SolutionColumns {
     /// Time tag of the epoch.
@@ -28,7 +28,7 @@ pub(in crate::store) struct SolutionSummary {
     pub base_age_ms: Option<i32>,
 }
 
-/// The stored number of a status. It never changes, and rises from none to best.
+/// The stored number of a status. It never changes. A better status has a higher number.
 pub(in crate::store) const fn status_number(status: Status) -> i16 {
     match status {
         Status::None => 0,
@@ -40,7 +40,7 @@ pub(in crate::store) const fn status_number(status: Status) -> i16 {
     }
 }
 
-/// The columns of a solution. A position that SQLite does not return bit by bit has none.
+/// The columns of a solution. A position that SQLite would not return bit by bit is left out.
 pub(in crate::store) fn solution_columns(solution: &Solution) -> SolutionColumns {
     let position = solution.estimate.as_ref().map(|estimate| estimate.position.0);
     let is_kept = |axis_m: &f64| axis_m.is_finite() && *axis_m != 0.0; // −0 would lose its sign.
@@ -65,7 +65,7 @@ fn sigmas_mm(position: Ecef, covariance: &Matrix3<f64>) -> [Option<i32>; 3] {
     [0, 1, 2].map(|axis| rounded(local[(axis, axis)].sqrt() * MM_PER_M))
 }
 
-/// The nearest integer; the largest one for more.
+/// The nearest integer, limited to the range of `i32`; `None` if the value is not finite.
 fn rounded(value: f64) -> Option<i32> {
     value.is_finite().then(|| value.round() as i32) // The cast saturates.
 }

@@ -2,11 +2,11 @@
 //!
 //! Layout 3 is a whole epoch: time, flags, observations and odometry (frame, interval,
 //! displacement, covariance, and the heading of a body frame). Layout 4 is relative to an earlier
-//! epoch of the session: the distances in epoch numbers to that epoch and to the whole one with
-//! which its chain begins, the span of time, and then the same.
+//! epoch of the session. It begins with two distances in epoch numbers, to that epoch and to the
+//! whole epoch at the start of the chain, and the span of time; then it continues like layout 3.
 //!
-//! Layouts 1 and 2, without and with odometry, are read: their observations are written one by one,
-//! each with satellite, code, flags, tags and values.
+//! Layouts 1 (without odometry) and 2 (with it) are still read. They contain observations one by
+//! one, each with satellite, code, flags, tags and values.
 
 use crate::gnss::{Cycles, Epoch, GpsTime, Observation, ObservationCode, Odometry, OdometryFrame};
 
@@ -25,7 +25,7 @@ const ODOMETRY: u8 = 2;
 const LOSS_OF_LOCK: u8 = 1;
 const HALF_CYCLE: u8 = 2;
 
-/// How far before an epoch those lie that it is relative to, in epoch numbers.
+/// Distances, in epoch numbers, to the earlier epochs on which an encoded one depends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::store) struct Distances {
     /// To the epoch that it is relative to.
@@ -34,7 +34,7 @@ pub(in crate::store) struct Distances {
     pub(in crate::store) first: u64,
 }
 
-/// Room for an encoded epoch (bytes), also if its values are no whole thousandths.
+/// Capacity for an encoded epoch (bytes). It suffices even if no value is a whole thousandth.
 fn capacity(epoch: &Epoch) -> usize {
     64 + 36 * epoch.observations.len()
 }
@@ -86,7 +86,7 @@ fn encode_odometry(out: &mut Encoder, odometry: &Odometry) {
     }
 }
 
-/// The epochs that an encoded one is relative to; `None` if it is whole.
+/// Distances to the epochs that an encoded epoch is relative to; `None` if it is whole.
 pub(in crate::store) fn distances(bytes: &[u8]) -> Result<Option<Distances>, CodecError> {
     let (mut input, layout) = Decoder::of_versions(bytes, RELATIVE)?;
     if layout != RELATIVE {

@@ -130,7 +130,7 @@ pub(super) fn decode_issues(
     Ok(issues)
 }
 
-/// A step of whole seconds in few bits, or any other.
+/// A step of time: few bits for whole seconds, more for any other.
 fn encode_step(bits: &mut BitWriter<'_>, ns: i64) {
     let is_whole = ns % NS_PER_SECOND == 0;
     bits.bit(is_whole);

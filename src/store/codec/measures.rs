@@ -1,4 +1,4 @@
-//! What rollups are made of: the values of one solution that a history shows.
+//! The values of one solution that rollups add up and a history shows.
 
 use crate::gnss::Solution;
 

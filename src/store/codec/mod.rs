@@ -1,10 +1,10 @@
 //! Rows as bytes: a compact binary form of epochs, solutions, ephemerides and calibrations of
 //! antennas.
 //!
-//! Each form starts with its layout and is canonical: equal values give equal bytes, and each `f64`
-//! is restored bit by bit. Earlier layouts are read. Integers are LEB128 with variable length
-//! (signed ones zigzag), times are nanoseconds, `f64` is little-endian IEEE 754. Corrupt bytes give
-//! a [`CodecError`].
+//! Each form starts with the number of its layout and is canonical: equal values give equal bytes,
+//! and each `f64` is restored bit by bit. Earlier layouts can still be read. Integers are LEB128
+//! with variable length (signed ones zigzag), times are nanoseconds, `f64` is little-endian
+//! IEEE 754. Corrupt bytes give a [`CodecError`].
 
 mod antenna;
 mod bits;
@@ -79,8 +79,8 @@ mod tests {
     use super::solution::DecodedSolution;
     use super::*;
 
-    /// Values that print the same have the same bits, apart from the payload of NaN; encoding the
-    /// decoded value again compares these.
+    /// Compares the printed values, and the bytes of the value encoded again. Printing shows all
+    /// bits but the payload of NaN, which the bytes contain.
     fn assert_round_trip<T: Debug>(
         value: &T,
         encode: impl Fn(&T) -> Vec<u8>,
@@ -165,7 +165,7 @@ mod tests {
             assert_round_trip(&ephemeris, encode_ephemeris, decode_ephemeris);
         }
 
-        /// Bytes changed anywhere give an error or other values of the form, but no panic.
+        /// Bytes changed anywhere give an error or another valid value, but no panic.
         #[test]
         fn corrupted_bytes_never_panic(
             epoch in sample::epoch(),

@@ -1,8 +1,9 @@
-//! Observations as bits: each value as its difference from what is expected of it (`signals`).
+//! Observations as bits: each value as its difference from an expected value (`signals`).
 //!
-//! Number of observations; then in bits: a table of kinds (constellation, code, flags, and how each
-//! value is written), the parameters of the Rice codes, and the observations. With an earlier
-//! epoch, one bit says that the satellite and kind are those that follow in its order.
+//! The number of observations comes first. Then follow, in bits: a table of kinds (constellation,
+//! code, flags, and how each value is written), the parameters of the Rice codes, and the
+//! observations. If there is an earlier epoch, one bit of each observation says whether satellite
+//! and kind are the next ones of that epoch.
 
 use crate::gnss::{Observation, ObservationCode, SatelliteId};
 
@@ -27,7 +28,7 @@ impl Earlier {
         Self { signals: observations.iter().map(Signal::of).collect(), interval_ns, next: 0 }
     }
 
-    /// The signal that follows in the order.
+    /// The next signal of the earlier epoch.
     fn expected(&self) -> Option<&Signal> {
         self.signals.get(self.next)
     }
@@ -44,15 +45,15 @@ impl Earlier {
     }
 }
 
-/// An observation on its way into bits.
+/// An observation prepared for writing.
 struct Written {
-    /// Index of its kind; `None` if satellite and kind are those expected.
+    /// Index of its kind; `None` if satellite and kind are the expected ones.
     kind: Option<usize>,
-    /// The code and difference of each value in thousandths.
+    /// For each value, the index of its Rice code, and its difference in thousandths.
     differences: [Option<(usize, u64)>; VALUES],
 }
 
-/// Encodes observations; with `earlier`, relative to those of an epoch this long before (ns).
+/// Encodes observations; with `earlier`, relative to an epoch that is `interval` older (ns).
 pub(super) fn encode_observations(
     out: &mut Encoder,
     observations: &[Observation],
@@ -120,12 +121,12 @@ fn index_of(kind: Kind, kinds: &mut Vec<Kind>) -> usize {
     })
 }
 
-/// Bits of an index below `count`.
+/// Number of bits that an index below `count` needs.
 const fn index_bits(count: usize) -> u32 {
     usize::BITS - count.saturating_sub(1).leading_zeros()
 }
 
-/// Code and difference of a value in thousandths from what is expected of it.
+/// Index of the Rice code, and the difference of a value from the expected one (thousandths).
 fn difference(
     index: usize,
     signal: &Signal,
@@ -167,7 +168,7 @@ fn encode_values(
     }
 }
 
-/// Decodes observations; with `earlier`, relative to those of an epoch this long before (ns).
+/// Decodes observations; with `earlier`, relative to an epoch that is `interval` older (ns).
 pub(super) fn decode_observations(
     input: &mut Decoder<'_>,
     earlier: Option<(&[Observation], i64)>,

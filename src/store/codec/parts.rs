@@ -1,10 +1,10 @@
-//! Solutions in two parts, and one relative to another.
+//! Solutions in two parts, and a revision relative to the first answer.
 //!
-//! The first part has all but the `f64` values: flags, counts, lists. The second has these, eight
-//! bytes each. Two solutions of an epoch have nearly the same first part, and values close to each
-//! other. So the smoothed solution is written as what differs from the first answer: the bytes
-//! between the longest common beginning and end of the first part, and for each value its distance
-//! in the order of all `f64`, in as many bits as it needs.
+//! The first part contains everything but the `f64` values: flags, counts, lists. The second part
+//! contains these values, eight bytes each. Two solutions of an epoch have nearly the same first
+//! part, and similar values. So the smoothed solution is written as its difference from the first
+//! answer: the bytes between the longest common beginning and end of the first part, and for each
+//! value its distance in the order of all `f64`, in as many bits as the distance needs.
 
 use std::borrow::Cow;
 
@@ -13,11 +13,11 @@ use super::bits::{BitReader, BitWriter};
 use super::bytes::{Decoder, Encoder, unzigzag, zigzag};
 
 const FLOAT_BYTES: usize = 8;
-/// The length of a distance that is not zero, less one.
+/// Bits of the length of a non-zero distance. The length is written less one.
 const LENGTH_BITS: u32 = 6;
 const SIGN: u64 = 1 << 63;
 
-/// All but the `f64`, and these.
+/// The bytes of everything but the `f64` values, and the bytes of the `f64` values.
 pub(super) struct Parts<'a> {
     pub(super) bytes: Cow<'a, [u8]>,
     pub(super) floats: Cow<'a, [u8]>,
@@ -28,14 +28,14 @@ impl Parts<'static> {
         Self { bytes: bytes.into(), floats: floats.into() }
     }
 
-    /// The parts of an encoder that keeps them apart.
+    /// The parts of an encoder that keeps `f64` values apart.
     pub(super) fn of(out: Encoder) -> Self {
         let (bytes, floats) = out.parts();
         Self::owned(bytes, floats)
     }
 }
 
-/// Writes both parts.
+/// Writes both parts as they are.
 pub(super) fn encode_whole(out: &mut Encoder, parts: &Parts<'_>) {
     out.count(parts.bytes.len());
     out.slice(&parts.bytes);
@@ -49,7 +49,7 @@ pub(super) fn decode_whole<'a>(input: &mut Decoder<'a>) -> Result<Parts<'a>, Cod
     Ok(Parts { bytes, floats: Cow::Borrowed(input.rest()) })
 }
 
-/// Writes what differs from `reference`.
+/// Writes the difference from `reference`.
 pub(super) fn encode_relative(out: &mut Encoder, parts: &Parts<'_>, reference: &Parts<'_>) {
     let (own, other) = (&parts.bytes[..], &reference.bytes[..]);
     let same = |(a, b): &(&u8, &u8)| a == b;
@@ -114,12 +114,12 @@ fn values(floats: &[u8]) -> impl Iterator<Item = u64> {
     floats.chunks_exact(FLOAT_BYTES).map(bits)
 }
 
-/// The bits of an `f64` as an integer of the same order.
+/// Maps the bits of an `f64` to an integer with the same order.
 const fn ordered(bits: u64) -> u64 {
     if bits & SIGN == 0 { bits | SIGN } else { !bits }
 }
 
-/// The bits of the `f64` of [`ordered`].
+/// The inverse of [`ordered`].
 const fn unordered(ordered: u64) -> u64 {
     if ordered & SIGN == 0 { !ordered } else { ordered & !SIGN }
 }
@@ -148,8 +148,8 @@ mod tests {
         Ok(parts)
     }
 
-    /// One ulp is the distance 1: its sign makes it 2, that is a flag, six bits of length and one
-    /// of the value; equal values take a bit.
+    /// A difference of one ulp is the distance 1, which the sign makes 2. It takes a flag, six bits
+    /// of length and one bit of value. Equal values take one bit.
     #[test]
     fn close_values_take_few_bits() {
         let next = f64::from_bits(4e6_f64.to_bits() + 1);

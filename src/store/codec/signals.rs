@@ -1,16 +1,17 @@
-//! Observations as integers, and what is expected of them.
+//! Observations as integers, and the value that is expected of each.
 //!
 //! Values are whole thousandths (mHz, mcycles, mm, mdB-Hz), or any other `f64` with all its bits.
-//! What is expected comes from the same signal in an earlier epoch, if there is one, otherwise from
-//! the satellite's previous signal:
+//! An expected value comes from the same signal in an earlier epoch, if there is one. Otherwise it
+//! comes from the previous signal of the same satellite:
 //!
 //! - Doppler: that of the earlier epoch, or in proportion to the frequencies.
 //! - Phase: the earlier one less the mean Doppler times the interval, or in proportion.
 //! - Pseudorange: the earlier one plus λ times the change of the phase, or the other signal's.
 //! - C/N0: the earlier one, or that of the other signal.
 //!
-//! Where Doppler or phase of the satellite's previous signal differed from what was expected, the
-//! same is expected here, in proportion to the frequencies. All is computed in integers.
+//! If Doppler or phase of the satellite's previous signal differed from its expected value, the
+//! expected value here is changed by this difference, in proportion to the frequencies. All is
+//! computed in integers.
 
 use crate::gnss::{Constellation, Cycles, Observation, ObservationCode, SatelliteId};
 
@@ -35,10 +36,10 @@ pub(super) const BITS: u8 = 2;
 /// For C/N0: a whole number of quarters of a dB.
 pub(super) const QUARTERS: u8 = 3;
 pub(super) const QUARTER: i64 = 250;
-/// C/N0 of which nothing is known (mdB-Hz).
+/// Expected C/N0 of a signal without an earlier or other value (mdB-Hz).
 const USUAL_CN0: i64 = 40_000;
 
-/// What an expected value comes from. Each has Rice codes of its own.
+/// The origin of an expected value. Each origin has Rice codes of its own.
 const NOTHING: usize = 0;
 const OWN_PHASE: usize = 1;
 const NEIGHBOUR: usize = 2;
@@ -57,8 +58,8 @@ pub(super) const PARAMETER_BITS: u32 = 6;
 const SPEED_OF_LIGHT: i128 = 299_792_458;
 const NS_PER_SECOND: i128 = 1_000_000_000;
 
-/// Nominal frequency of a band (10 kHz). A part of the encoding: it never changes. Its errors cost
-/// bits only.
+/// Nominal frequency of a band (10 kHz). It is part of the encoding, so it never changes. An
+/// inexact frequency only costs bits.
 const fn frequency(constellation: Constellation, band_digit: u8) -> i128 {
     match (constellation, band_digit) {
         (Constellation::Glonass, 1) => 160_200,
@@ -94,17 +95,17 @@ pub(super) struct Signal {
     pub(super) values: [Option<f64>; VALUES],
 }
 
-/// The previous signal of the epoch.
+/// The previous signal of the epoch, if it is of the same satellite.
 #[derive(Clone, Copy)]
 pub(super) struct Neighbour {
     pub(super) satellite: SatelliteId,
     frequency: i128,
     whole: [Option<i64>; VALUES],
-    /// Doppler and phase less what an earlier epoch let expect.
+    /// Doppler and phase less their values expected from an earlier epoch.
     innovations: [i128; 2],
 }
 
-/// What is known of a signal before its values are read.
+/// What the expected values of a signal are computed from.
 pub(super) struct Known<'a> {
     frequency: i128,
     before: Option<&'a [Option<i64>; VALUES]>,
@@ -182,13 +183,13 @@ impl Signal {
 }
 
 impl Neighbour {
-    /// What the next signal sees of `signal`, of which `known` was known.
+    /// `signal` as the next signal uses it; `known` is what its own values were expected from.
     pub(super) fn of(signal: &Signal, known: &Known<'_>) -> Self {
         let expected = |index: usize| signal.whole[index].map(|_| known.expected(index, signal));
         Self::with(signal, known, [expected(DOPPLER), expected(PHASE)])
     }
 
-    /// The same where it is known what was expected of Doppler and phase, and from what.
+    /// Like [`Self::of`], with the expected Doppler and phase and their origins given.
     pub(super) fn with(
         signal: &Signal,
         known: &Known<'_>,
@@ -222,7 +223,7 @@ impl<'a> Known<'a> {
         }
     }
 
-    /// What is expected of a value, and what that comes from. The values before it are known.
+    /// The origin of an expected value, and the value. Needs the values of lower index in `signal`.
     pub(super) fn expected(&self, index: usize, signal: &Signal) -> (usize, i64) {
         let (origin, expected) = match index {
             DOPPLER | PHASE => self.expected_rate_or_phase(index, signal),
@@ -280,8 +281,8 @@ impl<'a> Known<'a> {
     }
 }
 
-/// `value` · `by` / `over`, rounded towards zero; `over` is positive. Nearly all products have 64
-/// bits, which are divided much quicker than 128.
+/// `value` · `by` / `over`, rounded towards zero; `over` is positive. Nearly all products fit into
+/// 64 bits, which are divided much faster than 128.
 fn ratio(value: i128, by: i128, over: i128) -> i128 {
     let narrow = |value: i128| i64::try_from(value).ok();
     let product = narrow(value).zip(narrow(by)).and_then(|(value, by)| value.checked_mul(by));

@@ -1,12 +1,12 @@
 //! Solutions as bytes.
 //!
-//! Layouts 6 and 7 are what the columns of a row do not hold: they have the time, the position, and
-//! by reference the program's version and the configuration. A position that a column would not
-//! return bit by bit stands in the bytes. Layout 6 is whole; layout 7 is a revision relative to the
-//! first answer of its epoch (see `parts`).
+//! Layouts 6 and 7 omit what the columns of a row contain: the time, the position, and a reference
+//! to the program's version and the configuration. A position that a column would not return bit by
+//! bit is in the bytes. Layout 6 is whole; layout 7 is a revision relative to the first answer of
+//! its epoch (see `parts`).
 //!
-//! Earlier layouts are read: in layout 5 the parts are not apart, and up to layout 4 the bytes hold
-//! everything.
+//! Earlier layouts can still be read. In layout 5 the two parts are mixed, and up to layout 4 the
+//! bytes contain everything.
 
 use nalgebra::Vector3;
 
@@ -34,18 +34,18 @@ const WITH_COLUMNS: u8 = 5;
 pub(in crate::store) struct DecodedSolution {
     /// The solution.
     pub solution: Solution,
-    /// Version of the program that computed it, and hash of the configuration in force, up to
-    /// layout 4.
+    /// Version of the program that computed it, and hash of the configuration in force. `None`
+    /// after layout 4.
     pub origin: Option<(String, String)>,
 }
 
-/// Encodes what [`solution_columns`] leaves of a solution.
+/// Encodes a solution without the values of [`solution_columns`].
 pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
     whole(&parts_of(solution))
 }
 
-/// The same of a revision, relative to the encoded first answer of its epoch if that takes fewer
-/// bytes.
+/// Encodes a revision like [`encode_solution`], or relative to the encoded first answer of its
+/// epoch if that takes fewer bytes.
 pub(in crate::store) fn encode_revision(solution: &Solution, first: &[u8]) -> Vec<u8> {
     let own = parts_of(solution);
     let whole = whole(&own);
@@ -298,7 +298,7 @@ fn decode_base_epoch(
     Ok(BaseEpochIssue { base, time })
 }
 
-/// A list of satellites in either form.
+/// A list of satellites, in bytes or in bits.
 fn decode_list(input: &mut Decoder<'_>, layout: u8) -> Result<Vec<SatelliteId>, CodecError> {
     if layout < WITH_COLUMNS { input.satellites() } else { decode_satellites(input) }
 }
@@ -427,7 +427,7 @@ mod tests {
 
     use super::*;
 
-    /// What layouts before `layout` lack is removed.
+    /// The solution without what `layout` cannot express.
     fn of_layout(layout: u8, solution: &Solution) -> Solution {
         let mut solution = solution.clone();
         if layout < 4 {
@@ -535,7 +535,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Layout 5 is that of today, but for the values, which stand where they are written.
+        /// Layout 5 differs from layout 6 only in that the `f64` values are not apart.
         #[test]
         fn layout_5_is_read(solution in sample::solution()) {
             let mut out = Encoder::new(WITH_COLUMNS, 0);

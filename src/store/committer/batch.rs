@@ -1,4 +1,4 @@
-//! What is committed together: the changes of one session, encoded for the store.
+//! A batch: the changes of one session that are committed together, encoded for the store.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use crate::store::codec::{
 };
 use crate::store::{AuditEntry, BaseUse, RawChange, SessionKey, StoredSolution};
 
-/// From 1970-01-01 to 9999-12-31.
+/// Days that have partitions: from 1970-01-01 to 9999-12-31.
 const DAYS: std::ops::RangeInclusive<i64> = 0..=2_932_896;
 
 /// The changes of one session that are committed together.
@@ -28,7 +28,7 @@ pub struct Batch {
     pub snapshot: Option<EncodedSnapshot>,
     /// The day of arrival, since 1970-01-01 UTC; `None` if it is not known.
     pub day: Option<i64>,
-    /// Whether the snapshot is kept for replay if it is the first of its day.
+    /// Whether the snapshot is also kept for replay, if it is the first of its day.
     pub keeps_snapshot: bool,
     /// The chunk of raw bytes from which the epochs were decoded.
     pub raw: Option<Box<RawChange>>,
@@ -36,10 +36,10 @@ pub struct Batch {
     pub arc: Option<Box<ArcStart>>,
     /// Closes the session at this time (ms since 1970-01-01 UTC), if it is open.
     pub closed_unix_ms: Option<i64>,
-    /// The entry in the audit log of the act that is committed.
+    /// The entry of the audit log for the act that this batch commits.
     pub entry: Option<Box<AuditEntry>>,
-    /// Whether those who have sent its epochs go on without its answer, so that it may wait longer
-    /// for others to form a transaction with.
+    /// Whether the clients that sent its epochs continue without waiting for the answer. Such a
+    /// batch may wait longer, so that a transaction has more batches.
     pub is_patient: bool,
 }
 
@@ -72,14 +72,14 @@ impl Batch {
             && self.closed_unix_ms.is_none()
     }
 
-    /// Length of what it stores (bytes).
+    /// Length of the content that it stores (bytes).
     pub(super) fn bytes(&self) -> usize {
         let snapshot = self.snapshot.iter().map(|snapshot| snapshot.content.len());
         let raw = self.raw.iter().map(|raw| raw.content.len());
         self.added_bytes() + snapshot.chain(raw).sum::<usize>()
     }
 
-    /// Length of the epochs and solutions (bytes), which replace no others.
+    /// Length of its epochs and solutions (bytes). They replace no stored ones.
     pub(super) fn added_bytes(&self) -> usize {
         let epochs =
             self.epochs.iter().map(|epoch| epoch.content.len() + epoch.solution.content.len());
@@ -87,13 +87,13 @@ impl Batch {
         epochs.chain(revisions).sum()
     }
 
-    /// The partition of its rows: the day of arrival, if its name has eight digits.
+    /// The day of its partition; `None` if the day is unknown or has no partition.
     pub(super) fn partition(&self) -> Option<i32> {
         self.day.filter(|day| DAYS.contains(day)).map(|day| day as i32)
     }
 }
 
-/// The beginning of an arc: the epochs after it are positioned without those before.
+/// The beginning of an arc. Its epochs are positioned without those of earlier arcs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ArcStart {
     /// Number of the last epoch of the arc before.
@@ -102,7 +102,7 @@ pub struct ArcStart {
     pub unix_ms: i64,
 }
 
-/// A session's last epoch, to which the next one is encoded relative.
+/// A session's last epoch. The next epoch is encoded relative to it.
 #[derive(Clone, Debug)]
 pub struct EpochReference {
     epoch: Arc<Epoch>,
@@ -114,7 +114,7 @@ pub struct EpochReference {
 }
 
 impl EpochReference {
-    /// Bytes of memory.
+    /// Memory that it takes (bytes).
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Epoch>() + self.epoch.observations.len() * size_of::<Observation>()
     }
@@ -130,14 +130,14 @@ pub struct EncodedEpoch {
     reference: EpochReference,
     pub(super) content: Vec<u8>,
     pub(super) solution: EncodedSolution,
-    /// What rollups take of the solution.
+    /// The values of the solution that rollups add up.
     pub(super) measures: Option<Measures>,
 }
 
 impl EncodedEpoch {
     /// Encodes an epoch and its `solution`, computed with the navigation data of push number
-    /// `navigation` and with `base`. With `last`, which must be the session's last epoch, it is
-    /// encoded relative to it, unless a new chain is due.
+    /// `navigation` and with `base`. `last` must be the session's last epoch. The epoch is encoded
+    /// relative to `last`, unless it begins a new chain.
     pub fn new(
         epoch: Arc<Epoch>,
         solution: &StoredSolution,
@@ -167,7 +167,7 @@ impl EncodedEpoch {
         }
     }
 
-    /// The epoch as the last one, to which the next is encoded relative.
+    /// This epoch as the reference to which the next one is encoded.
     pub(crate) fn reference(&self) -> &EpochReference {
         &self.reference
     }
@@ -183,13 +183,13 @@ impl EncodedEpoch {
         [column(|b| b.base.0), column(|b| number(b.after)), column(|b| number(b.through))]
     }
 
-    /// Whether `epoch` is the same, bit by bit.
+    /// Whether `epoch` equals this one, bit by bit.
     pub(crate) fn is(&self, epoch: &Epoch) -> bool {
         encode_epoch(&self.reference.epoch) == encode_epoch(epoch)
     }
 }
 
-/// What computed a solution: version of the program, and hash of the configuration.
+/// Origin of a solution: version of the program, and hash of the configuration.
 pub(super) type Origin = (Arc<str>, Arc<str>);
 
 /// An encoded solution. Equal solutions have equal bytes.
@@ -210,7 +210,7 @@ pub struct EncodedSolution {
 pub struct FirstAnswer(Arc<[u8]>);
 
 impl FirstAnswer {
-    /// Bytes of memory.
+    /// Memory that it takes (bytes).
     pub(crate) fn bytes(&self) -> usize {
         self.0.len()
     }

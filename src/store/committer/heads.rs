@@ -1,9 +1,8 @@
 //! The head of a session: one row that each commit compares and sets.
 //!
-//! A batch is accepted if its session is open, the last number is the one that the batch
-//! continues, and no service with a later lease has committed. A node of a cluster must also have
-//! claimed the session. All batches of a transaction are compared in one statement on Postgres, and
-//! one after another on SQLite.
+//! A batch is accepted if its session is open, the batch continues the last number, and no service
+//! with a later lease has committed. A node of a cluster must also have claimed the session. On
+//! Postgres one statement compares all batches of a transaction; on SQLite each batch has its own.
 
 use std::collections::BTreeSet;
 
@@ -11,18 +10,19 @@ use sqlx::PgConnection;
 
 use super::batch::Batch;
 
-/// Who commits.
+/// The service that commits.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Owner {
     /// Name of the node; empty without a lease.
     pub(super) node: String,
-    /// The number of its lease. Each lease has the next one.
+    /// The fence, which is the number of its lease. Each lease has the next number.
     pub(super) fence: i64,
-    /// Whether it commits only to sessions that it has claimed: they have its fence.
+    /// Whether it is a node of a cluster. Such a node commits only to sessions with its own fence,
+    /// which it sets when it claims them.
     pub(super) claims: bool,
 }
 
-/// What a batch compares, and what it sets; `None` leaves a value as it is.
+/// The values that a batch compares and sets; `None` leaves a value as it is.
 pub(super) struct Head {
     pub(super) session: i64,
     pub(super) previous: Option<i64>,
@@ -62,9 +62,9 @@ macro_rules! compare_and_set {
     };
 }
 const POSTGRES: &str = compare_and_set!("<=");
-/// The same of sessions that the owner has claimed.
+/// The statement of a node of a cluster, for sessions that it has claimed.
 const POSTGRES_CLAIMED: &str = compare_and_set!("=");
-/// The same for one session.
+/// The statement for one session on SQLite.
 pub(super) const SQLITE: &str = "UPDATE session_heads SET owner = ?1, fence = ?2, \
     last_seq = COALESCE(?3, last_seq), last_gps_time_ns = COALESCE(?4, last_gps_time_ns), \
     raw_through = COALESCE(?5, raw_through), status = COALESCE(?6, status), \
@@ -91,7 +91,7 @@ impl Head {
     }
 }
 
-/// Those of the batches that continue their sessions. Their heads are set.
+/// Sets the heads of the batches that continue their sessions, and returns these batches.
 pub(super) async fn accepted_postgres<'a>(
     connection: &mut PgConnection,
     batches: &[&'a Batch],
@@ -125,8 +125,8 @@ pub(super) async fn accepted_postgres<'a>(
     Ok(accepted)
 }
 
-/// The batches in rounds, each with a session once. There is one round, unless several writers
-/// share a session.
+/// The batches in rounds, in which each session occurs at most once. There is one round, unless
+/// several writers share a session.
 fn rounds<'a>(batches: &[&'a Batch]) -> Vec<Vec<&'a Batch>> {
     let mut rounds: Vec<(BTreeSet<i64>, Vec<&'a Batch>)> = Vec::new();
     for batch in batches {

@@ -1,6 +1,6 @@
-//! The one row of `committer`: the lease of the database, and what a probe changes.
+//! The one row of `committer`: the lease of the database, and the counter that a probe raises.
 
-/// Changes a row, so that a probe needs what a commit needs: a lock, and room on the disk.
+/// Changes a row, so that a probe needs the same as a commit: a lock, and space on the disk.
 pub(super) const PROBE: &str = "UPDATE committer SET probes = probes + 1";
 /// Gives the lease its next number, for a node.
 pub(super) const NEXT_FENCE: &str =

@@ -25,20 +25,20 @@ use super::statements::write_postgres;
 use super::{Batch, Connect};
 
 const CONNECTING: &str = "connecting to the database";
-/// Between looks whether an earlier connection's process has ended.
+/// Interval between checks whether the process of an earlier connection has ended.
 const PAUSE: Duration = Duration::from_millis(20);
-/// Ends the process of an earlier connection. It has a row until its last transaction has ended.
+/// Ends the process of an earlier connection. The row exists until its last transaction has ended.
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND application_name = $2";
 
-/// A transaction of a node that the server no longer hears from must not hold rows that other nodes
-/// wait for.
+/// Longest idle time in a transaction. If the server has lost contact with a node, the node's
+/// transaction must not lock rows that other nodes wait for.
 const IDLE_LIMIT: [(&str, &str); 1] = [("idle_in_transaction_session_timeout", "4s")];
 /// Takes the lease of the schema, which ends with the connection.
 const TAKE_LEASE: &str = "SELECT pg_try_advisory_lock(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
 const HOLDER: &str = "SELECT node FROM committer";
-/// The server ends the connection of a service that has died within this time.
+/// Time within which the server ends the connection of a service that has died.
 const LEASE_PATIENCE: Duration = Duration::from_secs(3);
 
 /// Opens the committer's connections, one after another.
@@ -46,13 +46,13 @@ pub(in crate::store) struct Connector {
     database: Database,
     /// See [`crate::store::pool::Pool::Sqlite`].
     turn: Arc<Mutex<()>>,
-    /// Name of the connections on a server; no other process has it.
+    /// Name of the connections on a server. No other process uses it.
     name: String,
-    /// Name of the node, if it takes the lease.
+    /// Name of the node, if this service takes the lease.
     node: Option<Arc<str>>,
-    /// The node, if it takes the lease together with the others of its cluster.
+    /// This node of a cluster, whose nodes have the lease together.
     member: Option<Arc<Member>>,
-    /// Who commits, since the connection.
+    /// The owner of the commits, set by each connection.
     owner: std::sync::Mutex<Owner>,
     /// Process of the last connection on a server; 0 before the first.
     process: AtomicI32,
@@ -79,7 +79,7 @@ impl Connector {
         Self { database, turn, name, node, member, owner, process, origins, days }
     }
 
-    /// The same for a node of a cluster.
+    /// The same connector, for a node of a cluster.
     pub(in crate::store) fn with_member(self, member: Option<Arc<Member>>) -> Self {
         Self { member, ..self }
     }
@@ -142,11 +142,11 @@ impl Connector {
         Ok(None)
     }
 
-    /// Becomes the owner of what is committed. With a lease, at the first connection, it gets the
-    /// next fence, so that nothing of an earlier holder is committed any more.
+    /// Becomes the owner of the following commits. At the first connection with a lease it takes
+    /// the next fence, so that nothing of an earlier holder can be committed any more.
     ///
-    /// Returns the name of the node that had the lease since the last connection, if one had: what
-    /// this process has in memory may then be outdated, and it must not commit again.
+    /// Returns the name of another node that had the lease since the last connection. This process
+    /// must then not commit again, because its memory may be outdated.
     async fn become_owner(&self, link: &mut Link) -> Result<Option<String>, sqlx::Error> {
         if let (Some(member), Link::Postgres(connection)) = (&self.member, &mut *link) {
             let process = self.process.load(Ordering::Relaxed);
@@ -317,7 +317,7 @@ impl Connect for Connector {
     }
 }
 
-/// A name for the committer's connections that no other process has, of at most 63 bytes.
+/// A name of at most 63 bytes for the committer's connections. No other process has it.
 fn connection_name(database: &Database) -> String {
     let named = match database {
         Database::Postgres(options) => options.get_application_name(),

@@ -1,9 +1,9 @@
 //! A node of a cluster, on the committer's connection: how it enters, and how it renews its lease.
 //!
-//! A node is alive while `nodes` has its row. Another node may remove the row once the lease has
-//! ended by the server's clock, and never before. So each transaction shows that the row is there:
-//! it renews the lease now and then, and otherwise reads that it has not ended. The row of a head
-//! has the last word: a session that another node has claimed has another fence.
+//! A node is alive while `nodes` has its row. Another node may remove the row only after the lease
+//! has ended by the server's clock. So each transaction checks that the row exists: it renews the
+//! lease from time to time, and otherwise reads that the lease has not ended. The head of a session
+//! decides in the end: if another node has claimed the session, its fence is another one.
 
 use std::sync::atomic::{AtomicBool, AtomicI32, AtomicI64, Ordering};
 use std::sync::{Mutex, PoisonError};
@@ -13,12 +13,12 @@ use sqlx::{Connection, PgConnection};
 use tokio::time::sleep;
 use uuid::Uuid;
 
-/// How long a lease lasts after it was renewed: longer than the deadline of a commit, during which
-/// it cannot be renewed.
+/// Duration of a lease after a renewal. It is longer than the deadline of a commit, because the
+/// lease cannot be renewed during a commit.
 pub(in crate::store) const LEASE: Duration = Duration::from_secs(8);
-/// A lease is renewed by the first transaction after this time.
+/// Age of the last renewal from which a transaction renews the lease again.
 const RENEWAL: Duration = Duration::from_secs(1);
-/// The row of an earlier process of this name ends within this time.
+/// Time within which the lease of an earlier process with this name ends.
 const NAME_PATIENCE: Duration = LEASE.saturating_add(Duration::from_secs(2));
 const PAUSE: Duration = Duration::from_millis(100);
 
@@ -31,7 +31,7 @@ const RENEW: &str = "UPDATE nodes SET process = $2, \
     expires_at = clock_timestamp() + make_interval(secs => $3) WHERE fence = $1";
 const IS_VALID: &str =
     "SELECT EXISTS (SELECT 1 FROM nodes WHERE fence = $1 AND clock_timestamp() < expires_at)";
-/// A service without a cluster has the same lock alone.
+/// The lease of the schema, shared by nodes. A service without a cluster takes it alone.
 pub(super) const TAKE_SHARED: &str = "SELECT pg_try_advisory_lock_shared(\
     hashtextextended('graphfix lease ' || current_schema(), 0))";
 
@@ -43,11 +43,11 @@ pub(in crate::store) struct Member {
     secret: String,
     /// The number of its lease; 0 before it has entered.
     fence: AtomicI64,
-    /// Process of its connection.
+    /// Server process of its connection.
     process: AtomicI32,
-    /// Before the last renewal that is committed, by the local clock.
+    /// A time just before the last committed renewal, by the local clock.
     renewed: Mutex<Option<Instant>>,
-    /// Whether it leads, and knows what the leader before it has stored.
+    /// Whether it leads, and has read everything that the former leader stored.
     pub(in crate::store) leads: AtomicBool,
 }
 
@@ -71,9 +71,8 @@ impl Member {
         self.fence.load(Ordering::Acquire)
     }
 
-    /// Enters the cluster, or takes up its lease again after a lost connection. Returns the name of
-    /// the node that is in its way: of a live one with the same name, or of the cluster that has
-    /// ended its lease.
+    /// Enters the cluster, or renews its lease after a lost connection. Returns the name of what
+    /// prevents it: a live node with the same name, or a node that has ended its lease.
     pub(super) async fn enter(
         &self,
         connection: &mut PgConnection,
@@ -129,8 +128,8 @@ impl Member {
         Ok(Some(fence))
     }
 
-    /// Shows within a transaction that the lease has not been ended. Returns when the lease was
-    /// renewed, if it was: [`Self::note_renewed`] takes it after the commit.
+    /// Checks within a transaction that the lease has not ended, and renews it if necessary.
+    /// Returns the time of a renewal, to be passed to [`Self::note_renewed`] after the commit.
     pub(super) async fn confirm(
         &self,
         connection: &mut PgConnection,
@@ -155,13 +154,13 @@ impl Member {
         Ok(renew.execute(connection).await?.rows_affected() == 1)
     }
 
-    /// Notes a renewal that is committed, which began at this time.
+    /// Remembers a committed renewal that began at this time.
     pub(super) fn note_renewed(&self, begun: Instant) {
         *self.renewed.lock().unwrap_or_else(PoisonError::into_inner) = Some(begun);
     }
 
-    /// Checks that the lease lasts still, by the local clock, which also runs while the process
-    /// does not: what a commit has stored is acknowledged only then.
+    /// Checks by the local clock that the lease has not ended. This clock also runs while the
+    /// process is suspended. A commit is acknowledged only after this check.
     pub(super) fn check(&self) -> Result<(), sqlx::Error> {
         if self.since_renewal() < LEASE {
             return Ok(());

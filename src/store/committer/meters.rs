@@ -16,7 +16,7 @@ pub(crate) struct CommitterMeters {
     pub(crate) seconds: Histogram,
     /// Epochs of each of them.
     pub(crate) epochs: Histogram,
-    /// Bytes of their epochs, solutions, states and raw pieces, as encoded.
+    /// Bytes of their epochs, solutions, states and raw chunks, as encoded.
     pub(crate) bytes: Counter,
 }
 

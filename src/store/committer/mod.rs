@@ -2,19 +2,19 @@
 //!
 //! One task writes. Batches that arrive during a transaction wait in a bounded queue and form the
 //! next transaction. So transactions grow with the load, and a single session waits for no other.
-//! After a transaction of several batches the next one begins 20 ms after it, or later: the disk
-//! then syncs once for more of them. Where all that wait are of streams, which send further epochs
-//! without their answers, it begins 40 ms after it.
+//! A transaction that follows one of several batches begins 20 ms after the beginning of that one,
+//! or later, so that the disk syncs once for more batches. It begins 40 ms after, if all waiting
+//! batches are of streams, which send further epochs without waiting for their answers.
 //! A batch that does not continue its session, because another writer has stored epochs or has
 //! closed it, is left out of the transaction; see `heads`.
 //!
 //! # Failures
-//! The task owns its connection, on SQLite a thread with it (`sqlite`). After any error, a deadline
-//! that passes or a panic, it drops the connection and opens another, and probes it before it takes
-//! the next batches. Until then it refuses all batches at once. If the failure fell into `COMMIT`,
-//! the batches may be stored: each is answered with [`StoreError::Unconfirmed`], and its owner asks
-//! the store once commits work again. A new connection is used only when the old one can no longer
-//! commit, so that this answer is final.
+//! The task owns its connection; on SQLite a thread has the connection (`sqlite`). After an error,
+//! a missed deadline or a panic, the task drops the connection, opens another, and probes it before
+//! it takes the next batches. Until then it refuses all batches at once. If the failure fell into
+//! `COMMIT`, the batches may be stored. Each is then answered with [`StoreError::Unconfirmed`], and
+//! its owner asks the store when commits work again. A new connection is used only when the old one
+//! can no longer commit, so that the store's answer is final.
 
 mod batch;
 mod heads;
@@ -57,7 +57,7 @@ const QUEUE: usize = 1_024;
 /// writes it within the deadline.
 const EPOCHS_PER_TRANSACTION: usize = 4_096;
 const BYTES_PER_TRANSACTION: usize = 8 << 20;
-/// A transaction of so many batches shows that others will follow.
+/// A transaction of this many batches indicates that others will follow soon.
 const SEVERAL: usize = 4;
 
 /// Times that a committer keeps.
@@ -71,25 +71,26 @@ pub(super) struct Timing {
     pub(super) retry: Duration,
     /// From the beginning of a transaction of several batches to that of the next.
     pub(super) spacing: Duration,
-    /// The same if nobody waits for an answer of the next one ([`Batch::is_patient`]).
+    /// The same for a transaction that nobody waits for ([`Batch::is_patient`]).
     pub(super) patient_spacing: Duration,
 }
 
 impl Timing {
-    /// Those of a service.
+    /// The times of a service.
     pub(super) const fn service() -> Self {
         Self {
             deadline: DEADLINE,
             heartbeat: Duration::from_secs(2),
             retry: Duration::from_millis(250),
-            // Several times a sync of the disk, and little beside the delays of a network.
+            // Several times a sync of the disk, and short compared with the delays of a network.
             spacing: Duration::from_millis(20),
             patient_spacing: Duration::from_millis(40),
         }
     }
 
-    /// Takes the messages of the next transaction into the group. They wait for others if the last
-    /// transaction was of several batches; it began at `last`.
+    /// Moves waiting messages into the group of the next transaction. `last` is the beginning of
+    /// the last transaction, if that had several batches; the group then waits for further
+    /// messages.
     async fn gather(
         self,
         first: Message,
@@ -113,23 +114,23 @@ impl Timing {
     }
 }
 
-/// A database that batches are committed to: the real one, or one that fails as a test says.
+/// A database to which batches are committed: the real one, or a test's that fails on demand.
 pub(super) trait Connect: Send + Sync + 'static {
     /// A connection.
     type Link: Send;
 
-    /// Opens a connection. It returns when nothing of an earlier one can still be committed.
+    /// Opens a connection. Returns when nothing of an earlier connection can still be committed.
     fn connect(&self) -> impl Future<Output = Result<Self::Link, StoreError>> + Send;
 
-    /// Checks that the connection can commit. It writes something if `after_failure`.
+    /// Checks that the connection can commit. Also writes if `after_failure`.
     fn probe(
         &self,
         link: &mut Self::Link,
         after_failure: bool,
     ) -> impl Future<Output = Result<(), sqlx::Error>> + Send;
 
-    /// Commits batches in one transaction, and returns those that it left out because they do not
-    /// continue their sessions, by index. Sets `committing` before it sends `COMMIT`.
+    /// Commits batches in one transaction. Returns the indices of those that it left out because
+    /// they do not continue their sessions. Sets `committing` before it sends `COMMIT`.
     fn write(
         &self,
         link: &mut Self::Link,
@@ -148,7 +149,7 @@ enum Message {
     Stop,
 }
 
-/// The sender to the task that writes.
+/// The sender to the task that commits.
 #[derive(Clone)]
 pub(super) struct Committer {
     queue: mpsc::Sender<Message>,
@@ -174,7 +175,7 @@ impl Committer {
         Ok((Self { queue, health, meters }, tokio::spawn(running.run(inbox))))
     }
 
-    /// A committer of a store that is only read.
+    /// The committer of a store that does not commit.
     pub(super) fn stopped() -> Self {
         let (queue, _) = mpsc::channel(1);
         let (sender, health) = watch::channel(CommitterHealth::new());
@@ -212,7 +213,7 @@ impl Committer {
         health
     }
 
-    /// Waits until another service turns out to have had the lease.
+    /// Waits until it is known that another service has had the lease. Returns the error.
     pub(super) async fn lease_lost(&self) -> StoreError {
         let mut health = self.health.clone();
         let is_lost =
@@ -252,7 +253,7 @@ fn refusal(health: &CommitterHealth) -> StoreError {
     }
 }
 
-/// The task that writes.
+/// The task that commits.
 struct Running<C: Connect> {
     connector: C,
     timing: Timing,
@@ -262,7 +263,7 @@ struct Running<C: Connect> {
 }
 
 impl<C: Connect> Running<C> {
-    /// Commits until it is to stop, and then the waiting batches.
+    /// Commits until it is stopped, then commits the waiting batches and ends.
     async fn run(mut self, mut inbox: mpsc::Receiver<Message>) {
         let mut group = Vec::new();
         let mut last_of_several = None;
@@ -296,7 +297,7 @@ impl<C: Connect> Running<C> {
         let is_single = batches.len() == 1;
         for (index, request) in group.drain(..).enumerate() {
             let answer = match &written {
-                // The log of a session contradicts its head. Only this session must fail.
+                // A stored row contradicts the head of its session. Only this session must fail.
                 Err(StoreError::AlreadyStored) if !is_single => {
                     self.write(&[request.batch]).await.and_then(accepted)
                 }
@@ -308,7 +309,7 @@ impl<C: Connect> Running<C> {
         }
     }
 
-    /// Commits batches, and returns the indices of those that it left out.
+    /// Commits batches, and returns the indices of those that were left out.
     async fn write(&mut self, batches: &[Arc<Batch>]) -> Result<Vec<usize>, StoreError> {
         let Some(link) = &mut self.link else { return Err(refusal(&self.health.borrow())) };
         let (begun, committing) = (Instant::now(), AtomicBool::new(false));
@@ -343,8 +344,8 @@ impl<C: Connect> Running<C> {
         }
     }
 
-    /// Opens and probes a connection if none is open, and refuses all batches meanwhile.
-    /// Returns `false` if it is to stop before it succeeds, or if the lease is lost.
+    /// Opens and probes a connection if there is none, and refuses all batches meanwhile.
+    /// Returns `false` if the committer is stopped before, or if the lease is lost.
     async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
         while self.link.is_none() {
             let connecting = connected(&self.connector, self.timing.deadline, &self.health);
@@ -430,7 +431,7 @@ fn accepted(left_out: Vec<usize>) -> Result<(), StoreError> {
     if left_out.is_empty() { Ok(()) } else { Err(StoreError::AlreadyStored) }
 }
 
-/// Takes the messages that wait into the group. Returns whether it has room for others.
+/// Moves waiting messages into the group. Returns whether the group has room for more.
 fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<Request>) -> bool {
     let mut next = Some(first);
     let mut epochs: usize = group.iter().map(|request| request.batch.epochs.len()).sum();
@@ -453,7 +454,7 @@ fn collect(first: Message, inbox: &mut mpsc::Receiver<Message>, group: &mut Vec<
     true
 }
 
-/// Runs `work`, and refuses all batches meanwhile. `None` if it is to stop.
+/// Runs `work`, and refuses all batches meanwhile. `None` if the committer is stopped.
 async fn refusing<T>(
     work: impl Future<Output = T>,
     health: &watch::Sender<CommitterHealth>,

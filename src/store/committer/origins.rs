@@ -1,5 +1,4 @@
-//! What computed solutions, by reference: each row names the program's version and the
-//! configuration by one key.
+//! Origins of solutions: each row names the program's version and the configuration by one key.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -8,12 +7,12 @@ use sqlx::PgConnection;
 
 use super::batch::{Batch, EncodedSolution, Origin};
 
-/// Keys in memory. There are as many as configurations in use.
+/// Most keys in memory. There are as many as configurations in use.
 const KNOWN_MAX: usize = 10_000;
 
 pub(super) const FIND: &str =
     "SELECT key FROM solution_origins WHERE version = $1 AND configuration_hash = $2";
-/// Another node may store the same at the same time.
+/// Another node may insert the same origin at the same time.
 pub(super) const INSERT: &str = "INSERT INTO solution_origins (version, configuration_hash) \
     VALUES ($1, $2) ON CONFLICT (version, configuration_hash) \
     DO UPDATE SET version = excluded.version RETURNING key";
@@ -29,7 +28,7 @@ pub(super) struct Origins {
 pub(super) struct OriginKeys(HashMap<Origin, i32>);
 
 impl Origins {
-    /// The known keys of the origins of these batches, and the origins whose keys are not known.
+    /// The known keys of these batches' origins, and the origins without a known key.
     pub(super) fn of(&self, batches: &[&Batch]) -> (OriginKeys, Vec<Origin>) {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let (mut keys, mut unknown) = (HashMap::new(), Vec::new());
@@ -76,7 +75,7 @@ fn origins(batch: &Batch) -> impl Iterator<Item = &Origin> {
     first.chain(&batch.revisions).map(|solution| &solution.origin)
 }
 
-/// The keys of all origins of these batches, in a transaction that stores new ones.
+/// The keys of all origins of these batches. Stores new origins in the transaction.
 pub(super) async fn origin_keys(
     origins: &Origins,
     transaction: &mut PgConnection,

@@ -10,7 +10,7 @@ use super::batch::Batch;
 
 pub(super) const PIECE_COLUMNS: usize = 4;
 pub(super) const STREAM_COLUMNS: usize = 11;
-/// Bytes that are no longer needed are deleted whenever a stream passes a multiple of this length.
+/// Interval of stream positions after which bytes that are no longer needed are deleted.
 const FORGET_BYTES: u64 = 32 << 10;
 
 pub(super) const INSERT_PIECES: &str = "INSERT INTO raw_pieces (session, start, through, content) ";
@@ -23,17 +23,17 @@ pub(super) const REPLACE_STREAMS: &str = " ON CONFLICT (session) DO UPDATE SET \
     received_unix_ms = excluded.received_unix_ms, piece = excluded.piece, \
     piece_ends = excluded.piece_ends, first_seq = excluded.first_seq, \
     last_seq = excluded.last_seq";
-/// Bytes that neither restore the stream nor belong to the last chunk.
+/// Deletes bytes that neither restore the stream nor belong to the last chunk.
 pub(super) const FORGET: &str = "DELETE FROM raw_pieces WHERE session = $1 AND through <= $2 \
     AND (through <= $3 OR $4 <= start)";
 
 /// The raw bytes of a transaction.
 struct RawRows<'a> {
-    /// Each session with a chunk that has bytes.
+    /// Each chunk that has bytes, with its session.
     pieces: Vec<(i64, &'a RawChange)>,
-    /// Each session once, with its last chunk.
+    /// The last chunk of each session.
     streams: Vec<(i64, &'a RawPosition)>,
-    /// Those of `streams` of which bytes are to be deleted.
+    /// The entries of `streams` of which bytes are to be deleted.
     forgetting: Vec<(i64, &'a RawPosition)>,
 }
 
@@ -55,14 +55,14 @@ impl<'a> RawRows<'a> {
     }
 }
 
-/// Whether a chunk is one after which bytes are deleted: it passes a multiple of `FORGET_BYTES`, or
-/// ends its stream.
+/// Whether bytes are deleted after this chunk: it passes a multiple of `FORGET_BYTES`, or ends its
+/// stream.
 pub(super) fn is_forgetting(raw: &RawChange) -> bool {
     let RawPosition { through, last_chunk, .. } = &raw.position;
     last_chunk.is_end || raw.start() / FORGET_BYTES != through / FORGET_BYTES
 }
 
-/// The columns of a stream's position after the session.
+/// The columns of a stream's position that follow the session.
 pub(super) fn columns(position: &RawPosition) -> [i64; STREAM_COLUMNS - 1] {
     let RawPosition { stream, header_end, tail, through, time, received_unix_ms, last_chunk } =
         position;

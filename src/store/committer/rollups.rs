@@ -2,8 +2,8 @@
 //!
 //! Each transaction adds what it commits: one row for each session and bucket that it touches, and
 //! one for each tenant and hour. Only first answers count: a revision is another answer to an epoch
-//! that is counted already. Rows are written in the order of their keys, so that no two
-//! transactions wait for each other.
+//! that is already counted. Rows are written in the order of their keys, so that no two
+//! transactions wait for each other in a circle.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -19,19 +19,19 @@ use super::batch::{Batch, EncodedEpoch};
 const NS_PER_S: i64 = 1_000_000_000;
 const STATUSES: usize = Status::ALL.len();
 
-/// What a further value of a column makes of the stored one.
+/// How a new value of a column changes the stored one.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Merge {
-    /// The row is found by it.
+    /// Part of the key: identifies the row.
     Key,
     Sum,
     Least,
     Greatest,
-    /// The further value takes its place, if there is one.
+    /// The new value replaces the stored one, unless it is null.
     Last,
 }
 
-/// The columns of `rollups` but those of the quantities, with their types on Postgres.
+/// The columns of `rollups` except those of the quantities, with their types on Postgres.
 const COLUMNS: [(&str, Merge, &str); 22] = [
     ("session", Merge::Key, "bigint"),
     ("seconds", Merge::Key, "integer"),
@@ -56,7 +56,7 @@ const COLUMNS: [(&str, Merge, &str); 22] = [
     ("north_deg", Merge::Greatest, "double precision"),
     ("east_deg", Merge::Greatest, "double precision"),
 ];
-/// The columns of the hours that a fleet's sums are made of, with their types on Postgres.
+/// The columns of hours from which a fleet's sums are made, with their types on Postgres.
 pub(super) const FLEET_COLUMNS: [(&str, &str); 14] = [
     ("session", "bigint"),
     ("begin_s", "bigint"),
@@ -73,7 +73,7 @@ pub(super) const FLEET_COLUMNS: [(&str, &str); 14] = [
     ("satellites_sum", "double precision"),
     ("age_sum_s", "double precision"),
 ];
-/// The first of them that is a sum.
+/// Index of the first column that is a sum.
 pub(super) const FLEET_SUMS: usize = 3;
 
 /// All columns of `rollups`.
@@ -93,8 +93,8 @@ pub(super) fn names() -> String {
     columns().into_iter().map(|(name, ..)| name).collect::<Vec<_>>().join(", ")
 }
 
-/// What a statement does with a bucket that has a row. `least` and `greatest` are the functions of
-/// the database.
+/// The conflict clause of the insert: how a stored bucket is changed. `least` and `greatest` are
+/// the functions of the database.
 pub(super) fn merging(least: &str, greatest: &str) -> String {
     let set = |(name, merge, _): (String, Merge, &str)| {
         let (stored, further) = (format!("rollups.{name}"), format!("excluded.{name}"));
@@ -119,7 +119,7 @@ fn fleet_sums() -> Vec<&'static str> {
     FLEET_COLUMNS[FLEET_SUMS..].iter().map(|(name, _)| *name).collect()
 }
 
-/// What a statement does with an hour of a tenant that has a row.
+/// The conflict clause of the insert: how a stored hour of a tenant is changed.
 pub(super) fn fleet_merging() -> String {
     let sums = fleet_sums().into_iter();
     let set = sums.map(|name| format!("{name} = fleet_hours.{name} + excluded.{name}"));
@@ -131,8 +131,9 @@ pub(super) fn fleet_merging() -> String {
     )
 }
 
-/// Adds hours to their fleets, before they are in `rollups`: an hour that is not there yet is one
-/// more session. `hours` are rows with the names of the columns.
+/// Adds hours to the sums of their fleets. It must run before they are written to `rollups`,
+/// because a session is counted if the hour is not there yet. `hours` are rows with the columns'
+/// names.
 fn into_fleet(hours: &str) -> String {
     let (sums, merging) = (fleet_sums(), fleet_merging());
     let added = sums.iter().map(|name| format!("SUM(b.{name})")).collect::<Vec<_>>();
@@ -183,7 +184,7 @@ impl Values {
 /// Session, length of the bucket (s), and its begin (s).
 type Key = (i64, i64, i64);
 
-/// What a transaction adds to a bucket.
+/// The sums that a transaction adds to a bucket.
 pub(super) struct Row {
     pub(super) key: Key,
     pub(super) day: Option<i32>,
@@ -254,7 +255,7 @@ impl Row {
     }
 }
 
-/// What batches add, in the order of the keys.
+/// The sums that batches add, in the order of their keys.
 pub(super) fn rows(batches: &[&Batch]) -> Vec<Row> {
     let mut rows: BTreeMap<Key, Row> = BTreeMap::new();
     for batch in batches {

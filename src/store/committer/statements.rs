@@ -1,4 +1,4 @@
-//! Statements that insert: many rows by arrays on Postgres, row by row on SQLite (`sqlite`).
+//! Statements that insert: on Postgres many rows as arrays, on SQLite row by row (`sqlite`).
 
 use sqlx::PgConnection;
 
@@ -10,7 +10,7 @@ use super::origins::OriginKeys;
 use super::raw::write_raw_postgres;
 use super::rollups::write_rollups_postgres;
 
-/// Columns of an answer, which stand last in both tables.
+/// Columns of an answer. They are the last ones in both tables.
 const ANSWER_COLUMNS: usize = 10;
 pub(super) const EPOCH_COLUMNS: usize = 9 + ANSWER_COLUMNS;
 pub(super) const REVISION_COLUMNS: usize = 5 + ANSWER_COLUMNS;
@@ -50,7 +50,8 @@ const POSTGRES_EPOCHS: &str = concat!(
     answer_columns!(),
     ")"
 );
-/// A stored revision is not replaced. If it is stored again on another day, one of them is listed.
+/// A stored revision is not replaced. It may be stored again on another day; readers list only one
+/// of the two.
 const POSTGRES_REVISIONS: &str = concat!(
     "INSERT INTO revisions (session, day, seq, revision, gps_time_ns, content, ",
     answer_columns!(),
@@ -64,7 +65,7 @@ const POSTGRES_REVISIONS: &str = concat!(
     answer_columns!(),
     ") ON CONFLICT DO NOTHING"
 );
-/// The newest state wins, in whatever order the writers come.
+/// The newest state is kept, in whatever order the writers commit.
 pub(super) const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots \
     (session, seq, configuration_hash, content) VALUES ($1, $2, $3, $4) \
     ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
@@ -77,7 +78,8 @@ pub(super) const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
 pub(super) const INSERT_ARC: &str = "INSERT INTO session_arcs \
     (session, after_seq, created_unix_ms) VALUES ($1, $2, $3) \
     ON CONFLICT (session, after_seq) DO NOTHING";
-/// The stream's newest known time may be what made the new arc necessary.
+/// Sets the newest known time of the stream, since a wrong one may be why the new arc was
+/// requested.
 pub(super) const DATE_RAW: &str =
     "UPDATE raw_streams SET gps_time_ns = $2, received_unix_ms = $3 WHERE session = $1";
 pub(super) const CLOSE: &str =
@@ -129,7 +131,7 @@ fn revision_rows<'a>(batches: &[&'a Batch], keys: &OriginKeys) -> Vec<RevisionRo
     batches.iter().flat_map(rows).collect()
 }
 
-/// Binds the columns of many answers, each with the key of its origin, as arrays.
+/// Binds the columns of many answers as arrays. Each answer comes with the key of its origin.
 macro_rules! bind_answers {
     ($insert:expr, $answers:expr) => {{
         let answers = &$answers;
@@ -151,7 +153,7 @@ macro_rules! bind_answers {
     }};
 }
 
-/// Writes batches within a transaction. The partitions of their days exist.
+/// Writes batches within a transaction. The partitions of their days must exist.
 pub(super) async fn write_postgres(
     transaction: &mut PgConnection,
     batches: &[&Batch],
@@ -206,7 +208,7 @@ async fn insert_revision_arrays(
     bind_answers!(insert, answers).execute(connection).await.map(drop)
 }
 
-/// Writes the parts of batches that few of them have.
+/// Writes the parts of batches that most batches do not have.
 async fn write_changes(
     transaction: &mut PgConnection,
     batches: &[&Batch],

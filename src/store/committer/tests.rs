@@ -113,7 +113,7 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
     assert_eq!(committer.health().panics, 1);
 }
 
-/// Two batches 2 ms apart are two transactions, and one soon after a transaction of several.
+/// Batches 2 ms apart are in two transactions, but are in one soon after a transaction of several.
 #[tokio::test]
 async fn batches_wait_for_others_under_load() {
     let (committer, shared) = started().await;
@@ -132,7 +132,7 @@ async fn batches_wait_for_others_under_load() {
     assert_eq!(*shared.sizes.lock().unwrap(), [1, 1, 5, 2]);
 }
 
-/// Batches whose answers nobody awaits wait longer, but not beside one whose answer is awaited.
+/// Batches whose answers nobody awaits wait longer, unless one in the group is awaited.
 #[tokio::test]
 async fn batches_that_nobody_awaits_wait_longer() {
     let (committer, shared) = started().await;

@@ -1,7 +1,7 @@
-//! Messages to the webhooks of jobs: which are due, and what each attempt has come to.
+//! Messages to the webhooks of jobs: which messages are due, and the outcome of each attempt.
 //!
-//! An attempt is written before it is made, together with the time of the next one. So a message
-//! whose attempt no one ends, because the service has stopped, is due again.
+//! An attempt is written before it is made, together with the time of the next one. So if the
+//! service stops during an attempt, the message becomes due again.
 
 use crate::secrets::StoredSecret;
 use crate::store::pool::{Pool, reading, writing};
@@ -15,7 +15,7 @@ use super::rows::{JobKey, JobRow, RawJob, WebhookState, columns};
 pub struct DueWebhook {
     /// The job, which has ended.
     pub job: JobRow,
-    /// Signs the message.
+    /// Secret that signs the message.
     pub secret: String,
     /// Number of the attempt, from 1.
     pub attempt: u32,
@@ -28,7 +28,7 @@ pub struct DeliveryAttempt {
     pub number: u32,
     /// When it began (ms since 1970-01-01 UTC).
     pub begun_unix_ms: i64,
-    /// When it ended; `None` while it is made, and if the service stopped meanwhile.
+    /// When it ended; `None` while it is being made, or if the service stopped during it.
     pub ended_unix_ms: Option<i64>,
     /// Status of the host's answer, if there was one.
     pub http_status: Option<u16>,
@@ -41,12 +41,12 @@ pub struct DeliveryAttempt {
 pub enum DeliveryEnd {
     /// Nothing: the host has taken the message.
     Delivered,
-    /// Another attempt.
+    /// Another attempt follows.
     Again {
-        /// When (ms since 1970-01-01 UTC).
+        /// When the next attempt is due (ms since 1970-01-01 UTC).
         due_unix_ms: i64,
     },
-    /// Nothing: there were as many attempts as allowed.
+    /// Nothing: the number of attempts is used up.
     GivenUp,
 }
 
@@ -81,7 +81,7 @@ impl From<RawAttempt> for DeliveryAttempt {
     }
 }
 
-/// To what the secret of a webhook belongs, so that it opens for this job only.
+/// Name of the owner of a webhook's secret, so that it can be opened for this job only.
 pub(in crate::store) fn webhook_owner(job: &str) -> String {
     format!("job {job}")
 }
@@ -104,7 +104,8 @@ macro_rules! take {
 }
 
 impl Store {
-    /// The tenants with messages that are due; first that whose message has been due for longest.
+    /// The tenants with messages that are due, the one whose message has been due for longest
+    /// first.
     ///
     /// # Errors
     /// The database fails.
@@ -122,8 +123,8 @@ impl Store {
         Ok(names.iter().map(|name| Tenant::stored(name)).collect())
     }
 
-    /// Begins an attempt to deliver the message of a tenant that has been due for longest. If the
-    /// attempt is not ended, the message is due again at `again_unix_ms`.
+    /// Begins an attempt to deliver that message of a tenant that has been due for longest. If the
+    /// attempt is never ended, the message is due again at `again_unix_ms`.
     ///
     /// # Errors
     /// The database fails, or the row is corrupt.
@@ -201,8 +202,8 @@ impl Store {
         ended.map_err(StoreError::database("ending a delivery"))
     }
 
-    /// Gives up the messages that are due after `attempts` attempts, or after one whose job ended
-    /// before a time. Returns their number.
+    /// Gives up due messages that have had `attempts` attempts, or at least one attempt and whose
+    /// job ended before `ended_before_unix_ms`. Returns their number.
     ///
     /// # Errors
     /// The database fails.

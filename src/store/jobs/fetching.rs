@@ -1,4 +1,4 @@
-//! Jobs whose inputs are to be fetched. No one claims them before.
+//! Jobs whose inputs are still to be fetched. They cannot be claimed before.
 
 use crate::store::pool::{reading, writing};
 use crate::store::{Store, StoreError};
@@ -6,8 +6,8 @@ use crate::store::{Store, StoreError};
 use super::rows::{JobKey, JobRow, RawJob, columns};
 
 impl Store {
-    /// The jobs whose inputs are to be fetched, the oldest first. They are at most as many as may
-    /// wait.
+    /// The jobs whose inputs are to be fetched, the oldest first. The limit of waiting jobs bounds
+    /// their number.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
@@ -24,8 +24,8 @@ impl Store {
         rows.into_iter().map(RawJob::parse).collect()
     }
 
-    /// Lets a job be claimed whose inputs are fetched, with the request that names them. False if
-    /// it has ended meanwhile.
+    /// Makes a job claimable whose inputs are fetched, and stores the request that names them.
+    /// False if the job has ended meanwhile.
     ///
     /// # Errors
     /// The database fails.

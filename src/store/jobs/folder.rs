@@ -1,11 +1,11 @@
-//! The identity of the folder with the files of jobs, by which a worker knows that it has the
-//! service's, and a node of a cluster which other nodes must have the same.
+//! The identity of the folder with the files of jobs. A worker and each node of a cluster compare
+//! it, so that all of them use the same folder.
 
 use crate::store::pool::{reading, writing};
 use crate::store::{Store, StoreError};
 
 impl Store {
-    /// The identity of the folder that the service has.
+    /// The identity of the service's folder.
     ///
     /// # Errors
     /// The database fails.
@@ -16,7 +16,7 @@ impl Store {
         id.map_err(StoreError::database("reading which folder has the files of jobs"))
     }
 
-    /// Stores the identity of the folder that the service has.
+    /// Stores the identity of the service's folder.
     ///
     /// # Errors
     /// The database fails.

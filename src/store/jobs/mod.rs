@@ -1,4 +1,4 @@
-//! Batch jobs as rows: the queue, and what came of each.
+//! Batch jobs as rows: the queue, and the outcome of each job.
 //!
 //! `queue` gives jobs to those that run them; here they are created, read and cancelled.
 
@@ -35,13 +35,13 @@ macro_rules! select_jobs {
 const NAMED_JOB: &str = select_jobs!("WHERE tenant = $1 AND request_name = $2");
 
 impl Store {
-    /// Queues a job. Returns it, and whether it is new: a job of the same tenant and idempotency
-    /// key is returned in its place.
+    /// Queues a job. Returns it, and whether it is new: if the tenant already has a job with this
+    /// idempotency key, that job is returned.
     ///
     /// # Errors
     /// The database fails.
     pub async fn create_job(&self, new: &NewJob) -> Result<(JobRow, bool), StoreError> {
-        // Due at once, when the job has ended.
+        // The message is due as soon as the job has ended.
         let webhook = new.webhook_secret.as_ref().map(|_| (WebhookState::Waiting, 0));
         let owner = webhook_owner(&new.id);
         let sealed = new.webhook_secret.as_ref().map(|secret| self.secrets.seal(&owner, secret));
@@ -80,7 +80,7 @@ impl Store {
         Ok((before.map_err(StoreError::database("reading a job"))?.parse()?, false))
     }
 
-    /// The job that a tenant's request with this idempotency key has created, if it is kept.
+    /// The job that a tenant's request with this idempotency key has created, if it still exists.
     ///
     /// # Errors
     /// The database fails, or the row is corrupt.
@@ -108,7 +108,7 @@ impl Store {
         row.map_err(StoreError::database("reading a job"))?.map(RawJob::parse).transpose()
     }
 
-    /// A page of the jobs of a tenant: those of this state, or all.
+    /// A page of the jobs of a tenant: all, or those in one state.
     ///
     /// # Errors
     /// The page token or size is invalid, or the database fails.
@@ -225,7 +225,7 @@ impl Store {
         deleted.map_err(StoreError::database("deleting a job"))
     }
 
-    /// What every job names of the folder of jobs.
+    /// The files in the folder of jobs that each job names.
     ///
     /// # Errors
     /// The database fails.

@@ -1,14 +1,14 @@
-//! The queue: which job is run next, by whom, and how its run ends.
+//! The queue: which job runs next, who runs it, and how its run ends.
 //!
 //! A claim raises the job's fence and names its node. Progress and the end of a job are written
 //! only with the fence of its last claim, so a claimant that has lost its job changes nothing. A
 //! claim is lost after some time without heartbeat, by the clock of the database: the clocks of
 //! the claimants do not matter. Nothing here rests on the lease of the database.
 //!
-//! Tenants take turns: next comes one with the fewest running jobs, and of these the one whose jobs
-//! have used the least processor time while others had jobs, too (`job_turns`; stride scheduling,
-//! as in the solver pool). A tenant that comes with a job begins with the least time of those that
-//! are there, so it has no claim to the time before.
+//! Tenants take turns. The next tenant is one with the fewest running jobs. Among these it is the
+//! one whose jobs have used the least processor time while others also had jobs (`job_turns`;
+//! stride scheduling, as in the solver pool). A tenant that enters with a job begins with the least
+//! time of the others, so it gains nothing from the time before.
 
 use std::time::Duration;
 
@@ -29,8 +29,7 @@ macro_rules! postgres_now {
     };
 }
 
-/// Whether a job can be claimed; `$1` is the time without heartbeat after which a claim is lost
-/// (ms).
+/// Whether a job can be claimed. After `$1` ms without a heartbeat a claim is lost.
 macro_rules! any {
     ($now:expr) => {
         concat!(
@@ -48,7 +47,7 @@ const ENTER: &str = "INSERT INTO job_turns (tenant, used_ms) \
     SELECT DISTINCT tenant, COALESCE((SELECT MIN(used_ms) FROM job_turns), 0) FROM jobs \
     WHERE ended_unix_ms IS NULL AND unfetched = 0 ON CONFLICT (tenant) DO NOTHING";
 
-/// Claims the oldest job of the tenant that comes next, for the node `$2`.
+/// Claims the oldest job of the next tenant, for the node `$2`.
 macro_rules! claim {
     ($now:expr, $lock:literal) => {
         concat!(
@@ -76,7 +75,7 @@ macro_rules! claim {
     };
 }
 
-/// Adds the processor time since the last heartbeat, `$3` in all (ms), to that of the tenant.
+/// Adds the processor time since the last heartbeat to the tenant's; `$3` is the job's total (ms).
 const COUNT: &str = "UPDATE job_turns SET used_ms = used_ms + $3 - (SELECT cpu_ms FROM jobs \
     WHERE key = $1) WHERE tenant = (SELECT tenant FROM jobs \
     WHERE key = $1 AND fence = $2 AND state = 'RUNNING')";
@@ -103,14 +102,14 @@ pub struct JobClaim {
 }
 
 impl JobRow {
-    /// The claim that this row is of.
+    /// The claim by which this row was read.
     pub const fn claim(&self) -> JobClaim {
         JobClaim { key: self.key, fence: self.fence }
     }
 }
 
 impl Store {
-    /// Claims the next job for a node: one that waits, or whose claimant has given no heartbeat
+    /// Claims the next job for a node: a waiting one, or one whose claimant has sent no heartbeat
     /// for the time `silent`.
     ///
     /// # Errors
@@ -133,7 +132,7 @@ impl Store {
         if !is_any.map_err(StoreError::database("reading whether jobs wait"))? {
             return Ok(None);
         }
-        // No transaction: a claimant that is frozen between two statements holds up nobody.
+        // No transaction: a claimant that stops between two statements blocks nobody.
         let row: Result<Option<RawJob>, sqlx::Error> = writing!(&self.pool, pool => {
             let claim = async {
                 sqlx::query(LEAVE).execute(pool).await?;
@@ -184,7 +183,7 @@ impl Store {
         changed.map(|rows| rows == 1).map_err(StoreError::database("writing the progress of a job"))
     }
 
-    /// Ends a claimed job; false if the claim has ended before.
+    /// Ends a claimed job; false if the claim has already ended.
     ///
     /// # Errors
     /// The database fails.
@@ -220,7 +219,7 @@ impl Store {
         changed.map(|rows| rows == 1).map_err(StoreError::database("ending a job"))
     }
 
-    /// Queues a claimed job again, for a claimant that stops; false if the claim has ended before.
+    /// Queues a claimed job again because its claimant stops; false if the claim has already ended.
     ///
     /// # Errors
     /// The database fails.
@@ -234,9 +233,9 @@ impl Store {
         changed.map(|rows| rows == 1).map_err(StoreError::database("returning a job"))
     }
 
-    /// Queues the running jobs again whose claims can only be those of a process that has ended:
-    /// all on SQLite, where the file's one service runs them; none on Postgres, where they are lost
-    /// by their silence.
+    /// Queues running jobs again at the start of a service. On SQLite these are all, because only
+    /// this service runs them and its claims are from a process that has ended. On Postgres it
+    /// changes nothing, because a lost claim is detected by its missing heartbeat.
     ///
     /// # Errors
     /// The database fails.

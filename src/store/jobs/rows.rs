@@ -7,12 +7,12 @@ use crate::tenant::Tenant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct JobKey(pub(super) i64);
 
-/// What a job is doing.
+/// State of a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JobState {
-    /// It waits.
+    /// It waits for its run.
     Queued,
-    /// It is computed.
+    /// It is being computed.
     Running,
     /// Its result is stored.
     Succeeded,
@@ -43,18 +43,18 @@ impl JobState {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
 
-    /// Whether nothing follows.
+    /// Whether this state is final.
     pub const fn is_end(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
     }
 }
 
-/// What has become of the message to a job's webhook.
+/// State of the message to a job's webhook.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WebhookState {
     /// It waits for the end of the job, or for the next attempt.
     Waiting,
-    /// The host has taken it.
+    /// The host has accepted it.
     Delivered,
     /// No attempt follows.
     Failed,
@@ -77,10 +77,10 @@ impl WebhookState {
     }
 }
 
-/// A job to queue. Its texts are JSON of the desk for jobs.
+/// A job to queue. Its texts are JSON that the jobs desk writes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
-    /// To whom it belongs.
+    /// Tenant that owns the job.
     pub tenant: Tenant,
     /// Public id.
     pub id: String,
@@ -88,28 +88,28 @@ pub struct NewJob {
     pub request: String,
     /// Identifies the content of the request.
     pub request_hash: String,
-    /// A name that the tenant has given to the request, so that its repetition is no second job.
+    /// The tenant's name for this request. A repetition with this name creates no second job.
     pub idempotency_key: Option<String>,
     /// When it arrived (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// Signs the messages to its webhook; `None` without one.
+    /// Secret that signs the messages to its webhook; `None` without a webhook.
     pub webhook_secret: Option<String>,
-    /// Whether inputs are to be fetched before it can be claimed.
+    /// Whether its inputs must be fetched before it can be claimed.
     pub is_unfetched: bool,
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct JobProgress {
     /// Number of epochs.
     pub epochs: u64,
-    /// Number of them with a position.
+    /// Number of epochs with a position.
     pub answered: u64,
     /// Bytes of the rover's file that have been read.
     pub read_bytes: u64,
-    /// Number of the epochs that the present run has taken over from earlier ones.
+    /// Number of epochs that the present run has taken over from an earlier run.
     pub resumed_epochs: u64,
-    /// Bytes of the rover's file that these are.
+    /// Bytes of the rover's file that these epochs take.
     pub resumed_bytes: u64,
 }
 
@@ -125,7 +125,7 @@ pub enum JobEnd {
         /// The report, JSON.
         report: String,
     },
-    /// Without one.
+    /// Without a result.
     Failed {
         /// Why, JSON.
         failure: String,
@@ -137,11 +137,11 @@ pub enum JobEnd {
 pub struct JobRow {
     /// Primary key.
     pub key: JobKey,
-    /// To whom it belongs.
+    /// Tenant that owns the job.
     pub tenant: Tenant,
     /// Public id.
     pub id: String,
-    /// What it is doing.
+    /// Its state.
     pub state: JobState,
     /// Options and input files.
     pub request: String,
@@ -155,9 +155,9 @@ pub struct JobRow {
     pub ended_unix_ms: Option<i64>,
     /// Number of claims.
     pub fence: i64,
-    /// How often a claimant has vanished without ending or returning it.
+    /// Number of claimants that vanished without ending or returning it.
     pub lost_claims: u64,
-    /// How far it is.
+    /// Its progress.
     pub progress: JobProgress,
     /// Name and size of the result's file (bytes).
     pub result: Option<(String, u64)>,
@@ -165,11 +165,11 @@ pub struct JobRow {
     pub report: Option<String>,
     /// The reason of a failure.
     pub failure: Option<String>,
-    /// What has become of the message to its webhook; `None` without one.
+    /// State of the message to its webhook; `None` without a webhook.
     pub webhook_state: Option<WebhookState>,
 }
 
-/// What a job names of the folder of jobs.
+/// The files in the folder of jobs that a job names.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx::FromRow)]
 pub struct JobFilesRow {
     /// Public id.
@@ -180,7 +180,7 @@ pub struct JobFilesRow {
     pub result: Option<String>,
     /// Number of claims.
     pub fence: i64,
-    /// Whether nothing follows.
+    /// Whether the job has ended.
     pub is_ended: bool,
 }
 

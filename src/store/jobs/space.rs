@@ -1,11 +1,11 @@
-//! Bytes that the files of a tenant's jobs take.
+//! Counts the bytes of the files of a tenant's jobs.
 
 use crate::store::pool::{Pool, reading};
 use crate::store::{Store, StoreError};
 use crate::tenant::Tenant;
 
-/// The inputs of jobs and uploads, each content once, and results. `$inputs` are the rows of the
-/// inputs in a request, `$hash` and `$bytes` what one of them has.
+/// Sums the inputs of jobs and uploads, each content once, and the results. `$inputs` selects the
+/// rows of a request's inputs; `$hash` and `$bytes` are columns of such a row.
 macro_rules! bytes_of_files {
     ($inputs:literal, $hash:literal, $bytes:literal) => {
         concat!(
@@ -24,7 +24,7 @@ macro_rules! bytes_of_files {
 
 impl Store {
     /// Bytes of the files that the jobs and uploads of a tenant name: inputs, each content once,
-    /// uploads with all their bytes from the beginning on, and results.
+    /// and results. An upload counts with its full size from its beginning.
     ///
     /// # Errors
     /// The database fails.

@@ -9,11 +9,11 @@ use crate::tenant::Tenant;
 pub struct JobUploadRow {
     /// Public id.
     pub id: String,
-    /// Its name at the user.
+    /// Name of the file on the user's side.
     pub name: String,
     /// Size of the whole file (bytes).
     pub bytes: i64,
-    /// Hash of its bytes, once all are there.
+    /// Hash of its bytes, once all have arrived.
     pub hash: Option<String>,
     /// When it is removed (ms since 1970-01-01 UTC).
     pub expires_unix_ms: i64,
@@ -23,7 +23,7 @@ const SELECT: &str = "SELECT id, name, bytes, hash, expires_unix_ms FROM job_upl
     WHERE id = $1 AND tenant = $2";
 
 impl Store {
-    /// Stores an upload that begins; false if the tenant has `limit` already.
+    /// Stores a new upload; false if the tenant already has `limit` of them.
     ///
     /// # Errors
     /// The database fails.
@@ -66,7 +66,7 @@ impl Store {
         row.map_err(StoreError::database("reading an upload"))
     }
 
-    /// Stores the hash of an upload whose bytes are all there.
+    /// Stores the hash of a complete upload.
     ///
     /// # Errors
     /// The database fails.

@@ -2,14 +2,14 @@
 
 use rusqlite::{Statement, ToSql};
 
-/// A statement whose parameters are being bound.
+/// A statement while its parameters are bound.
 pub(super) struct Binding<'s, 'c> {
     statement: &'s mut Statement<'c>,
     bound: usize,
 }
 
 impl<'s, 'c> Binding<'s, 'c> {
-    /// A statement of which none are bound yet.
+    /// A statement without bound parameters.
     pub(super) const fn of(statement: &'s mut Statement<'c>) -> Self {
         Self { statement, bound: 0 }
     }
@@ -36,8 +36,8 @@ impl<'s, 'c> Binding<'s, 'c> {
     }
 }
 
-/// A statement that Postgres has, too, with its parameters by their numbers. SQLite takes `$2` for
-/// a name, and gives names their numbers in the order in which they come.
+/// The text of a statement that is shared with Postgres, with numbered parameters. SQLite would
+/// treat `$2` as a name, and number names in the order in which they occur.
 pub(super) fn by_number(sql: &str) -> String {
     sql.replace('$', "?")
 }

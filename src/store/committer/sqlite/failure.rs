@@ -1,4 +1,4 @@
-//! Failures of SQLite as `sqlx` has them, so that the committer judges both databases alike.
+//! Failures of SQLite as errors of `sqlx`, so that the committer treats both databases alike.
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -73,7 +73,7 @@ impl DatabaseError for SqliteFailure {
 mod tests {
     use super::*;
 
-    /// A repeated key is told from other failures, with either kind of key.
+    /// A repeated key is distinguished from other failures, for either kind of key.
     #[test]
     fn a_repeated_key_is_a_unique_violation() {
         let connection = rusqlite::Connection::open_in_memory().unwrap();

@@ -1,11 +1,11 @@
 //! The committer's connection to SQLite, with a thread of its own.
 //!
-//! SQLite blocks whoever calls it. So a thread has the connection and the prepared statements, and
-//! runs a whole transaction at once: threads change once for a transaction, not for a statement.
-//! Here are the thread and how it is used; the statements are in `writer`.
+//! SQLite blocks its caller. So a thread owns the connection and the prepared statements, and
+//! runs a whole transaction at once: control changes threads once per transaction, not once per
+//! statement. This module has the thread and its interface; the statements are in `writer`.
 //!
-//! Whoever waits for the thread may stop waiting, because a deadline has passed. What the thread
-//! then does is not confirmed by anyone: it does not commit, unless it has begun to.
+//! The caller may stop waiting for the thread when a deadline has passed. Nobody then confirms what
+//! the thread does. So the thread does not commit, unless it has already begun to.
 
 mod binding;
 mod failure;
@@ -30,10 +30,10 @@ use super::heads::Owner;
 use failure::failed;
 use writer::Writer;
 
-/// What the thread is to do.
+/// Work for the thread.
 type Work = Box<dyn for<'c> FnOnce(&mut Writer<'c>) + Send>;
 
-/// A connection on a thread, which ends when this is dropped.
+/// A connection on a thread. The thread ends when this is dropped.
 pub(in crate::store) struct SqliteThread {
     queue: mpsc::Sender<Work>,
 }
@@ -50,21 +50,21 @@ impl Progress {
         Self(AtomicU8::new(WRITING))
     }
 
-    /// Whether it may commit, because its outcome is still awaited.
+    /// Whether it may commit, because its caller still waits. Marks it as committing.
     fn begins_to_commit(&self) -> bool {
         let turn = (WRITING, COMMITTING);
         self.0.compare_exchange(turn.0, turn.1, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
 
-    /// Nobody waits for it any more. Returns whether it has begun to commit.
+    /// Marks that its caller no longer waits. Returns whether it has begun to commit.
     fn abandon(&self) -> bool {
         let turn = (WRITING, ABANDONED);
         self.0.compare_exchange(turn.0, turn.1, Ordering::AcqRel, Ordering::Acquire).is_err()
     }
 }
 
-/// Who waits for a transaction. Once this is dropped, the transaction does not begin to commit, and
-/// `committing` says whether it had begun.
+/// The caller's side of a transaction. When this is dropped, a transaction that is not committing
+/// yet is abandoned, and `committing` says whether it had begun.
 struct Waiting<'a> {
     progress: Arc<Progress>,
     committing: &'a AtomicBool,
@@ -78,7 +78,7 @@ impl Drop for Waiting<'_> {
 }
 
 impl SqliteThread {
-    /// Opens a file, which must be there with the newest schema.
+    /// Opens an existing file with the newest schema.
     pub(super) async fn open(file: &Path) -> Result<Self, sqlx::Error> {
         let (queue, inbox) = mpsc::channel();
         let (opened, answer) = oneshot::channel();
@@ -101,7 +101,7 @@ impl SqliteThread {
         self.run(move |writer| writer.write(&batches, &owner, || progress.begins_to_commit())).await
     }
 
-    /// Checks that a commit can begin, and with `writes` that it succeeds.
+    /// Checks that a commit can begin; with `writes`, also that it succeeds.
     pub(super) async fn probe(&self, writes: bool) -> Result<(), sqlx::Error> {
         self.run(move |writer| writer.probe(writes)).await
     }
@@ -148,7 +148,7 @@ impl SqliteThread {
     }
 }
 
-/// The thread: opens the connection and does what is in the queue, until nobody can add to it.
+/// Runs the thread: opens the connection and does the queued work until the queue is closed.
 fn serve(file: &Path, opened: oneshot::Sender<rusqlite::Result<()>>, inbox: &mpsc::Receiver<Work>) {
     let connection = match connected(file) {
         Ok(connection) => connection,
@@ -166,8 +166,8 @@ fn serve(file: &Path, opened: oneshot::Sender<rusqlite::Result<()>>, inbox: &mps
     }
 }
 
-/// Opens a connection that commits durably, with the settings of `Database`. The head that a batch
-/// sets proves that its session is there, so foreign keys are not checked.
+/// Opens a connection that commits durably, with the settings of `Database`. Foreign keys are not
+/// checked, because setting the head proves that the session exists.
 fn connected(file: &Path) -> rusqlite::Result<Connection> {
     let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
     let connection = Connection::open_with_flags(file, flags)?;
@@ -231,7 +231,7 @@ mod tests {
         assert_eq!(left_out, [0], "it is closed");
     }
 
-    /// Once a transaction has begun to commit, whoever stops waiting for it knows.
+    /// If the caller stops waiting after the commit has begun, the caller learns it.
     #[test]
     fn a_commit_that_has_begun_is_reported() {
         for begins in [false, true] {
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// A panic reaches whoever waits, and rolls back.
+    /// A panic is passed on to the caller, and the transaction is rolled back.
     #[tokio::test]
     async fn a_panic_is_passed_on() {
         let folder = tempfile::tempdir().unwrap();
@@ -256,7 +256,7 @@ mod tests {
         thread.probe(true).await.unwrap();
     }
 
-    /// A file that is absent is not created: it would be an empty database.
+    /// An absent file is not created, because it would be an empty database.
     #[tokio::test]
     async fn an_absent_file_is_not_created() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! Rollups on SQLite. A bucket that has a row is updated in place; only its first epochs, and the
-//! first of a day, insert.
+//! Rollups on SQLite. An existing row of a bucket is updated in place. An insert happens only for
+//! the first epochs of a bucket, and for the first ones of a day.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::store::rollup::HOUR_S;
 
 use super::binding::{Binding, with_values};
 
-/// Tenants of sessions in memory.
+/// Most sessions whose tenant is kept in memory.
 const KNOWN_MAX: usize = 100_000;
 
 const HAS_ROW: &str = "SELECT 1 FROM rollups WHERE session = ?1 AND seconds = ?2 AND begin_s = ?3";
@@ -30,7 +30,7 @@ pub(super) struct Rollups<'c> {
     tenants: HashMap<i64, Arc<str>>,
 }
 
-/// What a transaction adds to an hour of a tenant.
+/// The sums that a transaction adds to an hour of a tenant.
 #[derive(Default)]
 struct FleetRow {
     day: Option<i32>,
@@ -39,7 +39,7 @@ struct FleetRow {
     sums: [f64; 3],
 }
 
-/// The sums that are numbers of epochs.
+/// Number of the sums that count epochs.
 const FLEET_COUNTS: usize = FLEET_COLUMNS.len() - FLEET_SUMS - 3;
 
 impl<'c> Rollups<'c> {
@@ -85,7 +85,7 @@ impl<'c> Rollups<'c> {
         Ok(())
     }
 
-    /// Adds to a bucket. Returns whether it had no row.
+    /// Adds to a bucket. Returns whether this inserted its row.
     fn adds_row(&mut self, row: &Row) -> rusqlite::Result<bool> {
         if bound(&mut self.update, row)?.execute()? == 1 {
             return Ok(false);
@@ -129,8 +129,7 @@ impl FleetRow {
     }
 }
 
-/// Changes a bucket that has a row of the same day, or of a later one if the day is not known: so
-/// no index changes.
+/// Updates a bucket if its row has the same day, or if the day is not known. So no index changes.
 fn updating() -> String {
     let numbered = columns().into_iter().enumerate();
     let set = numbered.filter_map(|(index, (name, merge, _))| {
@@ -156,7 +155,7 @@ fn updating() -> String {
     )
 }
 
-/// Adds to an hour of a tenant.
+/// The statement that adds to an hour of a tenant.
 fn fleet() -> String {
     let sums = FLEET_COLUMNS.map(|(name, _)| name);
     let insert = format!(

@@ -1,4 +1,4 @@
-//! The statements of a transaction on SQLite. All that each batch needs are prepared once.
+//! The statements of a transaction on SQLite. Those that every batch needs are prepared once.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ use crate::store::{ArcStart, AuditEntry, RawChange, RawPosition};
 use super::binding::{Binding, by_number, with_values};
 use super::rollups::Rollups;
 
-/// A connection with its statements, and what it knows of the database.
+/// A connection with its prepared statements and its caches.
 pub(super) struct Writer<'c> {
     connection: &'c Connection,
     head: Statement<'c>,
@@ -55,7 +55,7 @@ impl<'c> Writer<'c> {
     }
 
     /// Writes batches in one transaction, and returns the indices of those that it left out. It
-    /// commits if `may_commit`, which is asked last.
+    /// calls `may_commit` last, and commits only if that returns `true`.
     pub(super) fn write(
         &mut self,
         batches: &[Arc<Batch>],
@@ -96,7 +96,7 @@ impl<'c> Writer<'c> {
         Ok(left_out)
     }
 
-    /// Takes and releases the lock of who writes; with `writes` it changes a row and commits.
+    /// Takes and releases the write lock; with `writes` it also changes a row and commits.
     pub(super) fn probe(&mut self, writes: bool) -> rusqlite::Result<()> {
         let transaction = immediate(self.connection)?;
         if writes {
@@ -122,8 +122,7 @@ impl<'c> Writer<'c> {
         Ok((mode, read.pragma_query_value(None, "synchronous", |row| row.get(0))?))
     }
 
-    /// Compares the head of a session with what a batch continues, and sets it. Returns whether it
-    /// continues it.
+    /// Sets the head of a session if the batch continues it. Returns whether it does.
     fn sets_head(&mut self, batch: &Batch, owner: &Owner) -> rusqlite::Result<bool> {
         let head = Head::of(batch);
         let set = Binding::of(&mut self.head)
@@ -142,7 +141,7 @@ impl<'c> Writer<'c> {
         Ok(set == 1)
     }
 
-    /// The keys of all origins of these batches. New ones are stored.
+    /// The keys of all origins of these batches. Stores new ones.
     fn origin_keys(&self, batches: &[&Batch]) -> rusqlite::Result<OriginKeys> {
         let (mut keys, unknown) = self.origins.of(batches);
         for origin in unknown {
@@ -215,7 +214,7 @@ impl<'c> Writer<'c> {
             .map(drop)
     }
 
-    /// A statement that few batches need.
+    /// A statement that few batches need, prepared at its first use.
     fn prepared(&self, sql: &str) -> rusqlite::Result<CachedStatement<'c>> {
         self.connection.prepare_cached(&by_number(sql))
     }
@@ -279,12 +278,12 @@ impl<'c> Writer<'c> {
     }
 }
 
-/// A transaction that has the lock of who writes. It is rolled back unless it is committed.
+/// A transaction with the write lock. It is rolled back unless it is committed.
 fn immediate(connection: &Connection) -> rusqlite::Result<Transaction<'_>> {
     Transaction::new_unchecked(connection, TransactionBehavior::Immediate)
 }
 
-/// Binds the columns of an answer, which stand last.
+/// Binds the columns of an answer, which are the last ones.
 fn answered<'s, 'c>(
     insert: Binding<'s, 'c>,
     solution: &EncodedSolution,
@@ -299,7 +298,7 @@ fn answered<'s, 'c>(
         .bind(solution.summary.base_age_ms)
 }
 
-/// The failure of a transaction whose outcome nobody awaits.
+/// The failure of a transaction whose caller no longer waits.
 fn abandoned() -> rusqlite::Error {
     let failure = ffi::Error { code: ErrorCode::OperationInterrupted, extended_code: 0 };
     rusqlite::Error::SqliteFailure(failure, Some("the deadline has passed".to_owned()))
