@@ -1,9 +1,9 @@
-//! The answers to the pushes of a stream: many are on their way, and the session's task answers
-//! them in their order.
+//! The answers to the pushes of a stream. Many pushes may wait for their answers, and the session's
+//! task answers them in their order.
 //!
-//! After the first error nothing more of the stream is taken. The epochs behind a failed commit
-//! would otherwise be stored without those of that commit, and the device would not send these
-//! again.
+//! After the first error the session takes no further push of the stream. Otherwise the epochs
+//! after a failed commit would be stored without those of that commit, and the device would not
+//! send the missing ones again.
 
 use std::mem;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -15,7 +15,7 @@ use tokio::sync::oneshot;
 
 use super::SessionError;
 
-/// The answers to the pushes of one stream. It has as many as the stream's credit allows pushes.
+/// The answers to the pushes of one stream, at most as many as the stream's credit allows pushes.
 #[derive(Debug)]
 pub struct Answers<T>(Arc<Shared<T>>);
 
@@ -23,12 +23,12 @@ pub struct Answers<T>(Arc<Shared<T>>);
 struct Shared<T> {
     waiting: Mutex<Vec<Result<T, SessionError>>>,
     reader: AtomicWaker,
-    /// An error was answered.
+    /// An error was sent as an answer.
     is_broken: AtomicBool,
 }
 
-/// Where the answer to a message goes. If it is dropped, the answer is that the session's task has
-/// ended.
+/// Destination of the answer to a message. If it is dropped without an answer, the receiver gets
+/// the error that the session's task has ended.
 #[derive(Debug)]
 pub(super) enum Reply<T> {
     /// To the one call that waits for it.
@@ -45,14 +45,14 @@ pub(super) struct StreamReply<T> {
 }
 
 impl<T> Answers<T> {
-    /// No answers.
+    /// An empty queue of answers.
     pub(crate) fn new() -> Self {
         let (waiting, reader, is_broken) = (Mutex::default(), AtomicWaker::new(), false.into());
         Self(Arc::new(Shared { waiting, reader, is_broken }))
     }
 
-    /// All answers that have arrived, in the order of the pushes; at least one. An error is the
-    /// last one.
+    /// All answers that have arrived, in the order of the pushes; at least one. An error is always
+    /// the last.
     pub(crate) fn poll(&self, context: &mut Context<'_>) -> Poll<Vec<Result<T, SessionError>>> {
         self.0.reader.register(context.waker());
         let arrived = mem::take(&mut *self.0.waiting());
@@ -66,7 +66,7 @@ impl<T> Answers<T> {
 }
 
 impl<T> Reply<T> {
-    /// Whether it goes to a stream.
+    /// Whether the answer goes to a stream.
     pub(super) const fn is_streamed(&self) -> bool {
         matches!(self, Self::Stream(_))
     }
@@ -92,7 +92,7 @@ impl<T> Shared<T> {
 }
 
 impl<T> Reply<T> {
-    /// Sends the answer. It is lost if the client has gone.
+    /// Sends the answer. It is lost if the client has disconnected.
     pub(super) fn send(self, answer: Result<T, SessionError>) {
         match self {
             Self::Call(caller) => _ = caller.send(answer),
@@ -103,7 +103,7 @@ impl<T> Reply<T> {
         }
     }
 
-    /// Drops it without an answer, because the push was never posted.
+    /// Drops the reply without an answer, because the push was never posted.
     pub(super) fn cancel(self) {
         if let Self::Stream(mut reply) = self {
             reply.is_sent = true;

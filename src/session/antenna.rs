@@ -6,8 +6,8 @@ use crate::gnss::{AntennaCalibration, Epoch, Navigation};
 use crate::positioning::correct_for_antenna;
 use crate::recording::ApproximatePosition;
 
-/// An epoch of the rover and the base's epochs, both corrected to the antenna reference points: the
-/// rover's with `calibration`, the base's with that of its own antenna, if it is calibrated.
+/// An epoch of the rover and the base's epochs, corrected to the antenna reference points: the
+/// rover's with `calibration`, the base's with the calibration of its own antenna, if it has one.
 pub(super) fn corrected(
     calibration: &AntennaCalibration,
     position: &mut ApproximatePosition,

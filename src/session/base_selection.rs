@@ -1,4 +1,4 @@
-//! Which base an estimator has used, and which one it uses next.
+//! Which base an estimator has used, and which base it uses next.
 
 use crate::aiding::bases::{BaseBroker, BaseChoice, BaseInput, BaseView, Candidates};
 use crate::config::{Mode, PositioningOptions};
@@ -9,10 +9,10 @@ use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter};
 use crate::store::BaseKey;
 use crate::tenant::Tenant;
 
-/// Age at which the rover's last position is too old to select a base by (s).
+/// Age from which the rover's last position is not used to select a base (s).
 const POSITION_LIFETIME_S: f64 = 60.0;
 
-/// The bases from which the next epochs take theirs.
+/// The bases that provide base epochs for the next rover epochs.
 pub(super) enum BaseSource {
     /// None: the mode is not relative to a base.
     None,
@@ -23,7 +23,7 @@ pub(super) enum BaseSource {
 }
 
 impl BaseSource {
-    /// The bases of `choice` for rover epochs of a tenant in `span`, its first and last time.
+    /// The bases of `choice` for rover epochs of a tenant. `span` is their first and last time.
     pub(super) fn new(
         bases: &BaseBroker,
         tenant: &Tenant,
@@ -71,7 +71,7 @@ impl BaseSelection {
         self.received_through = 0;
     }
 
-    /// The base epochs to give with the next rover epoch.
+    /// The base epochs that the estimator receives with the next rover epoch.
     pub(super) fn next(
         &self,
         source: &BaseSource,

@@ -13,25 +13,25 @@ use super::panics::caught;
 use super::state::{Advanced, Configuration, State};
 use super::{EpochRefusal, SEQUENCES, SequencedEpoch};
 
-/// Number of epochs after which the state is stored again, if computing them again would not take
-/// too long before. A state takes as much space as some 30 epochs with their solutions
-/// (docs/accuracy.md, docs/operations.md).
+/// Number of epochs after which the state is stored again. It is stored earlier if computing the
+/// epochs again would take too long. A state takes as much space as some 30 epochs with their
+/// solutions (docs/accuracy.md, docs/operations.md).
 const EPOCHS_PER_SNAPSHOT: usize = 256;
 
-/// What the epochs of a batch must satisfy.
+/// Limits for the epochs of a batch, and when its state is stored.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct EpochRules {
-    /// Observations in one epoch.
+    /// Most observations in one epoch.
     pub(super) observations_max: usize,
-    /// The time now.
+    /// The present time.
     pub(super) now: GpsTime,
-    /// Time that an epoch may be ahead of it (s).
+    /// Time that an epoch may be ahead of `now` (s).
     pub(super) future_s: u64,
-    /// Computing that a replay may repeat: after more, the state is stored.
+    /// Processor time that a replay may take. The state is stored when the epochs since take more.
     pub(super) replay_max: Duration,
-    /// Whether a snapshot is the first of its day and kept for replay.
+    /// Whether the next snapshot is the first of its day and therefore kept for replay.
     pub(super) keeps_snapshot: bool,
-    /// Whether the last snapshot was kept on another day: the state is stored.
+    /// Whether the last kept snapshot is of another day. The state is then stored.
     pub(super) is_new_day: bool,
 }
 
@@ -45,10 +45,10 @@ pub(super) enum Plan {
     Refused(EpochRefusal),
 }
 
-/// The solutions of a batch on their way to the answers.
+/// The solutions of a batch that have not been put into answers yet.
 pub(super) struct Unanswered {
     solutions: Vec<Option<StoredSolution>>,
-    /// Whether one of them answers several epochs, because one was sent again.
+    /// Whether one solution answers several epochs, because an epoch was sent again.
     has_resent: bool,
 }
 
@@ -86,9 +86,9 @@ pub(super) struct SolvedBatch {
     pub(super) rows: Vec<EncodedEpoch>,
     /// Revisions of these and earlier epochs, encoded for the store.
     pub(super) revisions: Vec<EncodedSolution>,
-    /// The same revisions, for those who watch.
+    /// The same revisions, for the watches of the session.
     pub(super) revised: Vec<StoredSolution>,
-    /// The state, encoded for the store, if it is due.
+    /// The encoded state for the store, if it is to be stored.
     pub(super) snapshot: Option<EncodedSnapshot>,
     /// The solutions of `rows`, with the same indices.
     pub(super) solutions: Vec<StoredSolution>,
@@ -129,7 +129,7 @@ impl SolvedBatch {
         self.plans.push((seq, plan));
     }
 
-    /// Encodes the state if it is due, after the last epoch.
+    /// Encodes the state after the last epoch, if it is to be stored.
     pub(super) fn finish(&mut self, rules: &EpochRules) {
         let state = &mut self.state;
         let is_long = EPOCHS_PER_SNAPSHOT <= state.unsaved || rules.replay_max < state.unsaved_time;
@@ -194,7 +194,7 @@ impl SolvedBatch {
         Plan::Positioned { index: self.rows.len() - 1, resent: false }
     }
 
-    /// The plan for an epoch numbered at or below the last one.
+    /// The plan for an epoch whose number is not above the last one.
     fn repeated(&self, epoch: SequencedEpoch) -> Plan {
         let seq = epoch.seq;
         match self.solutions.binary_search_by_key(&seq, |solution| solution.seq) {

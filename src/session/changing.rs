@@ -17,11 +17,11 @@ impl Sessions {
         Ok(self.create_once(new, None).await?.0)
     }
 
-    /// The same by a request that may have a name. Returns the session, and whether it is new: a
-    /// repetition of a named request returns what the first one has created.
+    /// Creates a session by a request that may have a name. Returns the session, and whether it is
+    /// new: a repetition of a named request returns the session that the first one has created.
     ///
     /// # Errors
-    /// The same; or another request had this name.
+    /// As for [`Self::create`]; or a request with this name had other content.
     pub async fn create_once(
         &self,
         new: NewSession,
@@ -48,7 +48,7 @@ impl Sessions {
         if let Some(row) = row.await? {
             return Ok((self.info(id, row)?, true));
         }
-        // Another call of this name was quicker.
+        // Another call with this name came first.
         let before = match named {
             Some(request) => self.created_by(request).await?,
             None => None,
@@ -56,13 +56,13 @@ impl Sessions {
         Ok((before.ok_or(SessionError::Interrupted)?, false))
     }
 
-    /// Checks that what settings ask for can be given out.
+    /// Checks that the service can provide the output that the settings ask for.
     fn check_settings(&self, settings: &SessionSettings) -> Result<(), SessionError> {
         let options = stored_options(settings)?;
         self.check_output(&options, &base_of(options.mode, &settings.base)?)
     }
 
-    /// The session that a request of this name has created.
+    /// The session that a request with this name has created.
     async fn created_by(
         &self,
         request: &NamedRequest,
@@ -74,7 +74,7 @@ impl Sessions {
         }
         let id = SessionId::parse(&id).ok_or(SessionError::NotFound { id })?;
         match self.get(&id).await {
-            // It is deleted meanwhile, and its name is free again.
+            // The session was deleted meanwhile, so the name is free again.
             Err(SessionError::NotFound { .. }) => Ok(None),
             found => found.map(Some),
         }
@@ -94,10 +94,10 @@ impl Sessions {
         self.update_by(id, update, None).await
     }
 
-    /// The same as an act of `author`.
+    /// Like [`Self::update`], as an act of `author`.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::update`].
     pub(crate) async fn update_by(
         &self,
         id: &SessionId,
@@ -115,7 +115,7 @@ impl Sessions {
         }
         let before = row.settings.clone();
         for name in &update.clear_overrides {
-            // One that an earlier version has stored may no longer exist.
+            // An earlier version may have stored an override that no longer exists.
             if !before.overrides.contains_key(name) {
                 PositioningOptions::check_name(name).map_err(SessionError::UnknownCleared)?;
             }
@@ -149,14 +149,14 @@ impl Sessions {
             self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
         });
         self.store().update_session(row.key, &row.settings, entry.as_deref()).await?;
-        // Those who watch read the settings again.
+        // Watches read the settings again.
         self.live().publish_unknown(row.key);
         self.tasks().outdate(id);
         self.info(id.clone(), row)
     }
 }
 
-/// What the audit log says of changed settings.
+/// The changed settings as text for the audit log.
 fn changes(before: &SessionSettings, now: &SessionSettings) -> String {
     let mut changes = Vec::new();
     let days = |days: Option<u32>| days.map_or("the service's".to_owned(), |days| days.to_string());

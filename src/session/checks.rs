@@ -12,7 +12,7 @@ use super::{RawChunk, SequencedEpoch, SessionError};
 
 /// Raw bytes that count as one waiting epoch in a mailbox. No receiver uses fewer bytes per epoch.
 const BYTES_PER_EPOCH: usize = 256;
-/// Delay after which sessions may have been deleted.
+/// Delay before a retry when the quota of sessions is used up: sessions may be deleted meanwhile.
 const STORED_DELAY: Duration = Duration::from_secs(60);
 
 impl Sessions {
@@ -38,8 +38,9 @@ impl Sessions {
         Ok(choice.try_map(|id| bases.name(&id))?)
     }
 
-    /// Checks that what the options ask for can be given out: the frame of each base that is named
-    /// must lead there. Which one is the nearest of all is not known yet.
+    /// Checks that the service can provide the output that the options ask for: positions relative
+    /// to each named base must be transformable to the frame. With the nearest of all bases, it is
+    /// not known yet which base is used.
     pub(super) fn check_output(
         &self,
         options: &PositioningOptions,
@@ -58,7 +59,7 @@ impl Sessions {
         named.iter().try_for_each(check).map_err(SessionError::Frame)
     }
 
-    /// The calibrated antenna of a name; none for an empty name.
+    /// The calibrated antenna with this name; none for an empty name.
     pub(super) async fn antenna_name(
         &self,
         name: &str,
@@ -78,7 +79,7 @@ impl Sessions {
         }
     }
 
-    /// Checks a push, and counts it on the tenant's quotas.
+    /// Checks a push, and counts its epochs for the tenant's quotas.
     pub(super) fn admit_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
         self.check_push(epochs)?;
         self.meter().admit_epochs()?;
@@ -86,9 +87,9 @@ impl Sessions {
         Ok(())
     }
 
-    /// Checks a chunk, and the tenant's quotas, on which its epochs are counted later. Returns the
-    /// number of epochs that it counts as in the mailbox: their true number is not known yet, so
-    /// its length decides.
+    /// Checks a chunk and the tenant's quotas; its epochs are counted later. Returns the number of
+    /// epochs that it takes in the mailbox. This is an estimate from its length, because the true
+    /// number is not known before it is decoded.
     pub(super) fn admit_chunk(&self, chunk: &RawChunk) -> Result<usize, SessionError> {
         let (bytes, limit) = (chunk.content.len(), self.limits().raw_chunk_bytes);
         if limit < bytes {
@@ -101,7 +102,7 @@ impl Sessions {
     }
 
     /// Checks the tenant's quota of sessions. No other session of the tenant is created while the
-    /// guard is there.
+    /// guard is held.
     pub(super) async fn admit_session(
         &self,
     ) -> Result<Option<tokio::sync::MutexGuard<'_, ()>>, SessionError> {

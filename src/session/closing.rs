@@ -21,10 +21,10 @@ impl Sessions {
         self.close_by(id, None).await
     }
 
-    /// The same as an act of `author`.
+    /// Like [`Self::close`], as an act of `author`.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::close`].
     pub(crate) async fn close_by(
         &self,
         id: &SessionId,
@@ -38,19 +38,21 @@ impl Sessions {
         self.get(id).await
     }
 
-    /// Deletes a session with all that it has stored; closes it before, if it is open. Returns it
-    /// as it was. From then on it is not found; its space is freed in the background.
+    /// Deletes a session with everything that it has stored. An open session is closed first.
+    /// Returns the session as it was. It is not found from then on; its space is freed in the
+    /// background.
     ///
     /// # Errors
-    /// No session has this id, the service is stopping, or the store fails; it may then be closed.
+    /// No session has this id, the service is stopping, or the store fails. The session may then
+    /// be closed.
     pub async fn delete(&self, id: &SessionId) -> Result<SessionInfo, SessionError> {
         self.delete_by(id, None).await
     }
 
-    /// The same as an act of `author`.
+    /// Like [`Self::delete`], as an act of `author`.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::delete`].
     pub(crate) async fn delete_by(
         &self,
         id: &SessionId,
@@ -90,7 +92,7 @@ impl Sessions {
             let row = self.claimed(row, id).await?;
             self.start(id, row, Start::Closing)?;
         }
-        // Removed first, so that no message follows the closing one.
+        // Removed first, so that no message follows the message that closes.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
         let (reply, answer) = oneshot::channel();
         let last = Message::Close { unix_ms: self.unix_ms(), entry, reply };

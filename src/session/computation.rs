@@ -1,5 +1,5 @@
-//! A computation on request, in quanta: between two of them others use the solver pool, and a
-//! caller that has gone ends it.
+//! A computation on request, in quanta. Between two quanta others use the solver pool. When the
+//! caller disconnects, the computation ends.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,19 +30,19 @@ pub struct Computed {
     pub version: Arc<str>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
-    /// How it is given out.
+    /// Frame and heights in which the position is reported.
     pub output: OutputOptions,
 }
 
 impl Computed {
-    /// A stored solution, given out by `output`.
+    /// A stored solution, reported with `output`.
     pub(super) fn of_stored(stored: StoredSolution, output: OutputOptions) -> Self {
         let StoredSolution { seq, revision: _, solution, version, configuration_hash } = stored;
         Self { seq, solution, version, configuration_hash, output }
     }
 }
 
-/// Epochs that a new estimator positions.
+/// Epochs that a new estimator positions, and its progress.
 pub(super) struct Computation {
     estimation: Configuration,
     navigation: Arc<Navigation>,
@@ -52,14 +52,14 @@ pub(super) struct Computation {
     antenna_position: ApproximatePosition,
     waiting: IntoIter<SequencedEpoch>,
     computed: Vec<Computed>,
-    /// Processor time on the solver pool so far, and at most.
+    /// Processor time used on the solver pool so far, and its limit.
     used: Duration,
     limit: Duration,
 }
 
 impl Computation {
-    /// The computation of `epochs` with what positioning needs beside them, within `limit` on the
-    /// solver pool.
+    /// The computation of `epochs` with the aiding data they need, within `limit` on the solver
+    /// pool.
     pub(super) fn new(
         estimation: Configuration,
         epochs: Vec<SequencedEpoch>,

@@ -1,4 +1,4 @@
-//! The options in force: from a user's request, and from what is stored.
+//! The options in force: from a user's request, and from the store.
 
 use std::collections::BTreeMap;
 
@@ -55,13 +55,13 @@ pub(super) fn settings(
     })
 }
 
-/// The options of a stored session with their values in force. Those that this version does not
+/// The options of a stored session with their values in force. Options that this version does not
 /// know are left out.
 pub(super) fn entries(settings: &SessionSettings) -> Vec<OptionEntry> {
     if let Ok(options) = stored_options(settings) {
         return options.entries();
     }
-    // Another version stored them.
+    // Another version stored options that this one does not know.
     let known = options(&settings.mode, &settings.profile, &BTreeMap::new());
     let mut entries = known.map(|options| options.entries()).unwrap_or_default();
     for entry in &mut entries {
@@ -72,8 +72,8 @@ pub(super) fn entries(settings: &SessionSettings) -> Vec<OptionEntry> {
     entries
 }
 
-/// The hash of a configuration: of its options and, if the session corrects for antennas, of the
-/// calibration of the rover's antenna.
+/// The hash of a configuration. It covers the options and, if the session corrects for antennas,
+/// the calibration of the rover's antenna.
 pub(super) fn configuration_hash(
     options: &PositioningOptions,
     calibration: Option<&str>,
@@ -110,7 +110,7 @@ pub(super) fn stored_options(
     options(&settings.mode, &settings.profile, &settings.configuration)
 }
 
-/// The options of what is given out of a session.
+/// The output options of a session: frame and heights of the reported positions.
 ///
 /// # Errors
 /// A value no longer exists.

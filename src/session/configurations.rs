@@ -13,7 +13,7 @@ use super::SessionError;
 use super::configuration::{base_of, stored_options};
 use super::state::{Configuration, VERSION};
 
-/// Configurations that are kept. When there would be more, all are forgotten.
+/// Most configurations in memory. When it is exceeded, all are dropped.
 const KEPT: usize = 256;
 
 /// The options and bases for new epochs.
@@ -24,21 +24,21 @@ pub(super) struct ActiveConfiguration {
     pub(super) bases: BaseChoice,
     /// The session is closed and takes no more epochs.
     pub(super) is_closed: bool,
-    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    /// Time for which epochs are kept (days); 0 for ever, `None` for the service's setting.
     pub(super) retention_days: Option<u32>,
 }
 
-/// Configurations in use. Reading the options from texts and preparing them takes as long as an
-/// epoch, and a fleet has few of them. Clones share them.
+/// Configurations in use. To read the options from texts and to prepare them takes as long as to
+/// position an epoch, and a fleet has few configurations. Clones share them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Configurations(Arc<Mutex<HashMap<Key, Known>>>);
 
-/// The hash of a configuration, and the mode and profile, from which options have their values that
-/// were unknown when it was stored.
+/// The hash of a configuration, its mode and its profile. Mode and profile give the values of
+/// options that did not exist when the configuration was stored.
 type Key = (Arc<str>, String, String);
 
-/// A configuration with the stored options it was prepared from: those of what is given out of a
-/// session, such as its frame, are not in the hash.
+/// A prepared configuration, with the stored options from which it was made. The options are
+/// compared because the hash does not cover output options, such as the frame.
 #[derive(Debug)]
 struct Known {
     options: BTreeMap<String, String>,
@@ -93,7 +93,7 @@ impl Configurations {
     }
 }
 
-/// The stored calibration of a hash, if there is one.
+/// The stored calibration with this hash, if the hash is given.
 pub(super) async fn calibration(
     aiding: &AidingDesk,
     hash: Option<&str>,

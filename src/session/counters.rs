@@ -1,4 +1,4 @@
-//! What all sessions have done since the start.
+//! Counts of all sessions since the start.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,7 +11,7 @@ use crate::meters::{self, Counter, Family, Histogram, Label};
 #[derive(Debug)]
 pub struct Counters {
     pub(super) meters: SessionMeters,
-    /// The members of the families in `meters`, so that an epoch looks none of them up.
+    /// The members of the families in `meters`, so that they are not looked up for each epoch.
     stages: [Histogram; Stage::ALL.len()],
     epochs: [Counter; Status::ALL.len()],
     /// Sessions with a state in memory.
@@ -23,7 +23,7 @@ pub struct Counters {
 /// Meters of all sessions. Clones share them.
 #[derive(Clone, Debug)]
 pub(crate) struct SessionMeters {
-    /// States of sessions with epochs that were loaded from the store.
+    /// Number of states that were loaded from the store, of sessions with epochs.
     pub(crate) restores: Counter,
     /// Epochs on which an estimator panicked.
     pub(crate) quarantined: Counter,
@@ -38,7 +38,7 @@ pub(crate) struct SessionMeters {
 /// A stage of a batch of epochs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Stage {
-    /// A push waits in the mailbox.
+    /// A push waits in the mailbox (elapsed time).
     Waiting,
     /// The estimator computes: processor time.
     Solving,
@@ -67,7 +67,7 @@ impl Counters {
             refused: Counter::default(),
             stages: Family::new_with_constructor(meters::times),
         };
-        // Made here, so that what has not occurred is reported as 0.
+        // Created now, so that a count that has not occurred is reported as 0.
         let stage = |stage: Stage| meters.stages.get_or_create(&[("stage", stage.name())]).clone();
         let status =
             |status: Status| meters.epochs.get_or_create(&[("status", status.name())]).clone();
@@ -75,7 +75,7 @@ impl Counters {
         Self { meters, stages, epochs, in_memory: AtomicUsize::new(0), waiting: Arc::default() }
     }
 
-    /// Number of states of sessions with epochs that were loaded from the store.
+    /// Number of states that were loaded from the store, of sessions with epochs.
     pub fn restores(&self) -> u64 {
         self.meters.restores.get()
     }
@@ -105,7 +105,7 @@ impl Counters {
         self.stages[stage as usize].observe(elapsed.as_secs_f64());
     }
 
-    /// Counts epochs that are answered with a refusal in place of a solution.
+    /// Counts epochs that were answered with a refusal instead of a solution.
     pub(crate) fn count_refused(&self, epochs: usize) {
         self.meters.refused.inc_by(epochs as u64);
     }

@@ -36,17 +36,17 @@ const STARTING_LOCKS: usize = 64;
 
 /// The desk for sessions, as one tenant sees it. All clones share the desk.
 ///
-/// A handle reads and changes the sessions of its tenant. Others are not found.
+/// A handle reads and changes the sessions of its tenant. It does not find other sessions.
 ///
-/// A session's task is started by its first push, and holds the estimator in memory. At most
-/// [`SessionLimits::active_sessions`] tasks run. To start another one, the least recently used
+/// A session's first push starts its task, which has the estimator in memory. At most
+/// [`SessionLimits::active_sessions`] tasks run. To start another task, the least recently used
 /// session without waiting epochs is parked: its task ends, and its next push starts a new task
-/// from the store.
+/// from the parked or stored state.
 #[derive(Clone)]
 pub struct Sessions {
     desk: Arc<Desk>,
     meter: Arc<Meter>,
-    /// The trace of the request for which this handle is.
+    /// The trace of the request that this handle serves.
     trace: Option<Arc<Trace>>,
 }
 
@@ -60,14 +60,13 @@ pub(super) struct Desk {
     pub(super) live: Arc<Live>,
     pub(super) clock: Clock,
     pub(super) configurations: Configurations,
-    /// Locked from reading a session's row until its task is started, and while it is closed.
+    /// Locked from the read of a session's row until its task has started, and while it is closed.
     starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
     tasks: Mutex<Tasks>,
     /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
     expiry: Arc<Expiry>,
-    /// The tasks that remove what is deleted and what is expired. They end when the desk drains or
-    /// is dropped.
+    /// The tasks that remove deleted and expired rows. They end when the desk drains or is dropped.
     removal: Mutex<JoinSet<()>>,
 }
 
@@ -77,7 +76,7 @@ impl Sessions {
         Self::open_at(store, aiding, limits, Clock::system())
     }
 
-    /// The same with another clock.
+    /// Like [`Self::open`], with another clock.
     pub fn open_at(
         store: Store,
         aiding: AidingDesk,
@@ -124,9 +123,9 @@ impl Sessions {
         Self { trace, ..self }
     }
 
-    /// Begins a new arc of a session, after the epochs that wait: its next epoch may be earlier
-    /// than the last one, unless its time is implausible, and its estimator starts again. Numbers
-    /// go on rising.
+    /// Begins a new arc of a session, after the epochs that wait. The estimator starts again. The
+    /// time of the next epoch may be earlier than the last one's, unless it is implausible; its
+    /// number must still be higher.
     ///
     /// # Errors
     /// No session has this id, it is closed, or the store fails; nothing is then changed.
@@ -134,10 +133,10 @@ impl Sessions {
         self.reset_by(id, None).await
     }
 
-    /// The same as an act of `author`.
+    /// Like [`Self::reset`], as an act of `author`.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::reset`].
     pub(crate) async fn reset_by(
         &self,
         id: &SessionId,
@@ -203,8 +202,8 @@ impl Sessions {
         answer.await.unwrap_or(Err(SessionError::Interrupted))
     }
 
-    /// Puts a message into the session's mailbox, and starts its task if none runs. If it is
-    /// refused, the message stays where it is.
+    /// Puts a message into the session's mailbox, and starts its task if none runs. If the mailbox
+    /// refuses it, `message` still contains it.
     pub(super) async fn send(
         &self,
         id: &SessionId,
@@ -244,7 +243,7 @@ impl Sessions {
         self.tasks().stops.is_some()
     }
 
-    /// What all sessions have done since the start.
+    /// Counts of all sessions since the start.
     pub fn counts(&self) -> &Counters {
         &self.desk.counters
     }
@@ -297,7 +296,7 @@ impl Sessions {
         SessionInfo::of(id, row, self.desk.limits.retention_days)
     }
 
-    /// Whose sessions these are.
+    /// The tenant whose sessions this handle serves.
     pub(super) fn tenant(&self) -> &Tenant {
         self.meter.tenant()
     }
@@ -328,10 +327,10 @@ impl Sessions {
         }
     }
 
-    /// The row of a session as it is once this node has claimed it.
+    /// The row of a session, read after this node has claimed it.
     ///
     /// # Errors
-    /// It is another node's, or the store fails.
+    /// The session belongs to another node, or the store fails.
     pub(super) async fn claimed(
         &self,
         row: SessionRow,
@@ -342,7 +341,8 @@ impl Sessions {
             Claim::Taken => {
                 self.tasks().forget_parked(id); // It is another node's work from now on.
                 if !row.settings.base.is_none() {
-                    // What its former node has received must be known before it is replayed.
+                    // Base epochs that its former node has received must be known before the
+                    // session is replayed.
                     self.desk.aiding.bases.follow().await?;
                 }
                 self.row(id).await
@@ -350,12 +350,12 @@ impl Sessions {
         }
     }
 
-    /// Whether the task of a session runs here, so that the session is this node's.
+    /// Whether the task of a session runs here. The session then belongs to this node.
     pub(crate) fn runs(&self, id: &SessionId) -> bool {
         self.tasks().handles.contains_key(id)
     }
 
-    /// Lets those who watch sessions of other nodes read the store again.
+    /// Makes watches of sessions of other nodes read the store again.
     pub(crate) fn wake_watches(&self) {
         let here: HashSet<SessionKey> = self.tasks().handles.values().map(|h| h.key).collect();
         self.live().publish_elsewhere(|key| here.contains(&key));
@@ -375,8 +375,8 @@ impl Sessions {
         &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
     }
 
-    /// Puts a message into the mailbox of a running task. Returns `false` and leaves it if none
-    /// runs.
+    /// Puts a message into the mailbox of a running task. Returns `false` if no task runs;
+    /// `message` then still contains it.
     fn post(
         &self,
         id: &SessionId,

@@ -45,7 +45,7 @@ pub enum SessionError {
     /// A mode, profile, option or value does not exist.
     #[error(transparent)]
     Configuration(#[from] ConfigError),
-    /// An override is to be cleared of an option that does not exist.
+    /// The request clears an override of an option that does not exist.
     #[error(transparent)]
     UnknownCleared(ConfigError),
     /// The mode needs a base, and none is named.

@@ -1,4 +1,4 @@
-//! One stored epoch with everything that explains its answer.
+//! One stored epoch with the satellites and residuals that explain its answer.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use super::{SessionError, SessionId};
 
 pub use crate::positioning::{SatelliteRole, SatelliteView};
 
-/// A stored epoch with its solutions, and its satellites as the first of them sees them.
+/// A stored epoch with its solutions, and its satellites at the position of the first solution.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EpochExplanation {
     /// The epoch as received.
@@ -23,13 +23,13 @@ pub struct EpochExplanation {
     pub solutions: Vec<StoredSolution>,
     /// The observed satellites, in the order of the epoch.
     pub satellites: Vec<SatelliteView>,
-    /// How the solutions are given out.
+    /// Frame and heights in which the solutions are reported.
     pub output: OutputOptions,
 }
 
 impl Sessions {
-    /// Explains a stored epoch; `None` for the last one. The ephemerides are those that it was
-    /// solved with, or the present ones if those are no longer stored.
+    /// Explains a stored epoch, or the last one if `None`. It uses the ephemerides with which the
+    /// epoch was solved, or the present ones if those are no longer stored.
     ///
     /// # Errors
     /// No session has this id, it has no epoch of this number, or the store fails.
@@ -58,14 +58,14 @@ impl Sessions {
     }
 }
 
-/// Says what satellites have done for the answers of a session's epochs. Keeps the ephemerides and
-/// options of the last epoch, which mostly are those of the next one.
+/// Computes the satellites of a session's epochs at the answered positions. It keeps the
+/// ephemerides and options of the last epoch, which are usually also those of the next one.
 pub(super) struct Explaining<'a> {
     sessions: &'a Sessions,
     device: Arc<str>,
-    /// With the number of their push.
+    /// The ephemerides, with the number of their push.
     navigation: Option<(u64, Arc<Navigation>)>,
-    /// With the hash of their configuration.
+    /// The options, with the hash of their configuration.
     options: Option<(Arc<str>, PositioningOptions)>,
 }
 
@@ -75,7 +75,7 @@ impl<'a> Explaining<'a> {
         Self { sessions, device, navigation: None, options: None }
     }
 
-    /// The observed satellites of an epoch, in its order, as its first answer sees them.
+    /// The observed satellites of an epoch, in its order, at the position of its first answer.
     ///
     /// # Errors
     /// The store fails.

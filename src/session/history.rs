@@ -14,7 +14,7 @@ use super::desk::Sessions;
 use super::series::SERIES_POINTS;
 use super::{SessionError, SessionId};
 
-/// The span of a history without a beginning (s).
+/// Span of a history if the query gives no beginning (s).
 const STANDARD_S: i64 = 86_400;
 /// Longest span that is read from rollups of minutes (s).
 const MINUTES_S: i64 = 7 * 86_400;
@@ -25,9 +25,9 @@ const NS_PER_S: i64 = 1_000_000_000;
 /// The history to compute.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HistoryQuery {
-    /// First time; `None` for a day before the last.
+    /// First time; `None` for one day before `to`.
     pub from: Option<GpsTime>,
-    /// Last time; `None` for the present, of one session for that of its last epoch.
+    /// Last time; `None` for the present, or for the last epoch in the history of one session.
     pub to: Option<GpsTime>,
     /// Most intervals, 1 to [`SERIES_POINTS`].
     pub points: usize,
@@ -64,7 +64,7 @@ impl Intervals {
 /// The history of one session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionHistory {
-    /// `None` without rollups.
+    /// The intervals; `None` without rollups.
     pub intervals: Option<Intervals>,
     /// Length of the buckets that intervals are made of (s).
     pub rollup_s: i64,
@@ -79,7 +79,7 @@ pub struct SessionHistory {
 pub struct FleetHistory {
     /// The intervals of whole hours.
     pub intervals: Intervals,
-    /// The intervals with epochs, by index. Sessions are the most in one hour of the interval.
+    /// The intervals with epochs, by index. The sessions of an interval are the most in one hour.
     pub hours: BTreeMap<u32, FleetHour>,
     /// Number of epochs with each status.
     pub statuses: StatusCounts,
@@ -128,8 +128,8 @@ fn add(sum: &mut FleetHour, hour: &FleetHour) {
 }
 
 impl Sessions {
-    /// The history of a session, open or closed: from rollups of minutes up to a week, and from
-    /// those of hours beyond, or where minutes are removed already.
+    /// The history of a session, open or closed. Up to a week it is read from rollups of minutes.
+    /// Longer spans, and spans whose minutes are already removed, are read from rollups of hours.
     ///
     /// # Errors
     /// No session has this id, the number of points or the span is out of range, or the store
@@ -152,7 +152,7 @@ impl Sessions {
         let to = query.to.unwrap_or(at(seconds(last) + HOUR_S - 1));
         let from = query.from.unwrap_or_else(|| before(to, STANDARD_S));
         let Some(span) = checked_span(from, to)? else { return Ok(none) };
-        // An hour that begins before the span may have minutes in it.
+        // The first minutes may belong to an hour that begins before the span.
         let hour = (at(seconds(from).div_euclid(HOUR_S) * HOUR_S), to);
         let rollup_s = match seconds(to) - seconds(from) <= MINUTES_S {
             true => {
@@ -203,8 +203,8 @@ impl Sessions {
         Ok(history)
     }
 
-    /// A page of up to 1000 sessions that have hours in a span of time, of which the default is the
-    /// last day, and in an area.
+    /// A page of up to 1000 sessions that have hours in an area and in a span of time. Without a
+    /// span, it is the last day.
     ///
     /// # Errors
     /// The span is out of range, the page token or size is invalid, or the store fails.
@@ -238,7 +238,7 @@ mod tests {
         (seconds(span.0), seconds(span.1), length_s)
     }
 
-    /// A day in minutes, in 2000 points and in 100.
+    /// A day in minutes, in at most 2000 intervals and in at most 100.
     #[test]
     fn intervals_are_whole_buckets_and_not_more_than_asked_for() {
         assert_eq!(intervals(0, 86_399, 2_000, 60), (0, 86_400, 60));

@@ -1,4 +1,4 @@
-//! A session as its users see it: id, configuration, and how far it is stored.
+//! A session as its users see it: id, configuration, and the number of its last stored epoch.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -39,7 +39,7 @@ pub struct NewSession {
     pub base: BaseChoice<BaseId>,
     /// Type and radome of the rover's antenna; empty: no antenna corrections.
     pub antenna: String,
-    /// For how long epochs are kept (days); 0 for ever, `None` as the service is configured.
+    /// Time for which epochs are kept (days); 0 for ever, `None` for the service's setting.
     pub retention_days: Option<u32>,
 }
 
@@ -60,9 +60,9 @@ pub struct SessionUpdate {
     pub base: Option<BaseChoice<BaseId>>,
     /// New type and radome of the rover's antenna; empty: no antenna corrections.
     pub antenna: Option<String>,
-    /// For how long epochs are kept from now on (days); 0 for ever.
+    /// Time for which epochs are kept from now on (days); 0 for ever.
     pub retention_days: Option<u32>,
-    /// The etag of the session as the caller knows it; `None` for any.
+    /// The etag of the session that the caller has read; `None` for any.
     pub etag: Option<String>,
 }
 
@@ -83,7 +83,7 @@ pub struct SessionInfo {
     pub configuration: Vec<OptionEntry>,
     /// Hash of the configuration in force.
     pub configuration_hash: Arc<str>,
-    /// Names the present settings.
+    /// Identifies the present settings. It changes with them.
     pub etag: String,
     /// When it was created (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
@@ -97,10 +97,10 @@ pub struct SessionInfo {
     pub base: BaseChoice<Arc<str>>,
     /// The rover's antenna, if the session corrects for antennas.
     pub antenna: Option<AntennaName>,
-    /// For how long epochs are kept (days); 0 for ever.
+    /// Time for which epochs are kept (days); 0 for ever.
     pub retention_days: u32,
-    /// Epochs below this number are removed, as they are older than the retention; `None` while all
-    /// are stored.
+    /// Epochs below this number are removed because they are older than the retention; `None` while
+    /// all are stored.
     pub oldest_available: Option<u64>,
 }
 
@@ -134,7 +134,7 @@ impl SessionInfo {
     }
 }
 
-/// The name of settings: others have another one.
+/// The etag of settings. Other settings have another etag.
 pub(super) fn etag_of(settings: &SessionSettings) -> String {
     let SessionSettings { label, mode, profile, overrides, base, antenna, .. } = settings;
     let ids: Vec<&str> = match base {
@@ -161,6 +161,6 @@ pub struct SolutionPage {
     pub page: Page<StoredSolution>,
     /// Epochs below this number are removed; `None` while all are stored.
     pub oldest_available: Option<u64>,
-    /// How they are given out.
+    /// Frame and heights in which the solutions are reported.
     pub output: OutputOptions,
 }

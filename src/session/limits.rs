@@ -20,16 +20,18 @@ pub struct SessionLimits {
     /// Time that an epoch may be ahead of the service's clock (s). A receiver that counts weeks
     /// wrongly is a week ahead at least, and no clock of a server is a day behind.
     pub future_s: u64,
-    /// For how long epochs are kept of sessions that name no time of their own (days); 0 for ever.
+    /// Time for which epochs are kept if their session sets none (days); 0 for ever.
     pub retention_days: u32,
-    /// For how long entries of the audit log are kept (days); 0 for ever.
+    /// Time for which entries of the audit log are kept (days); 0 for ever.
     pub audit_days: u32,
-    /// For how long the history of hours is kept (days); 0 for ever. It outlives the epochs.
+    /// Time for which the hours of the history are kept (days); 0 for ever. They outlive the
+    /// epochs.
     pub history_days: u32,
-    /// Sessions with an estimator in memory. Beyond it the least recently used idle one is parked.
+    /// Most sessions with an estimator in memory. Above, the least recently used idle one is
+    /// parked.
     pub active_sessions: usize,
-    /// Bytes of the encoded states of parked sessions in memory. Beyond it the least recently
-    /// parked ones are restored from the store.
+    /// Most bytes of encoded states of parked sessions in memory. Above, the least recently parked
+    /// states are dropped, and restored from the store when they are needed.
     pub parked_bytes: usize,
     /// Bases that one session may choose from.
     pub candidate_bases: usize,
@@ -37,14 +39,14 @@ pub struct SessionLimits {
     pub solve_window_epochs: usize,
     /// Time that a computation on request may use the solver pool.
     pub solve_time: Duration,
-    /// Newly committed solutions in memory for those who watch; who is further behind reads the
+    /// Newly committed solutions in memory for watches. A watch that is further behind reads the
     /// store.
     pub live_solutions: usize,
     /// Characters of a label.
     pub label_characters: usize,
     /// Threads that run estimators.
     pub solver_threads: NonZeroUsize,
-    /// The delay that a client with a full mailbox is asked to wait.
+    /// Delay that a client is asked to wait when a mailbox is full.
     pub retry_after: Duration,
 }
 

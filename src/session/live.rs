@@ -1,4 +1,4 @@
-//! Newly committed solutions for those who watch a session: one bounded ring for all watches.
+//! Newly committed solutions for the watches of sessions: one bounded ring for all watches.
 //!
 //! Only solutions of watched sessions enter the ring. A watch that falls behind the ring, or whose
 //! session may have committed something that the ring does not have, reads the store.
@@ -14,7 +14,7 @@ use crate::store::{SessionKey, StoredSolution};
 /// The ring, which all sessions and watches share.
 pub(super) struct Live {
     capacity: usize,
-    /// Number of watches. Without any, a commit costs one look at it.
+    /// Number of watches. While it is zero, a commit only reads this number.
     watches: AtomicUsize,
     ring: Mutex<Ring>,
 }
@@ -36,7 +36,7 @@ struct Watched {
 #[derive(Clone)]
 enum Entry {
     Solution(Arc<StoredSolution>),
-    /// Something may be committed that the ring does not have.
+    /// A commit may have happened whose solutions are not in the ring.
     Unknown,
     Closed,
 }
@@ -51,7 +51,7 @@ pub enum News {
         /// Whether the session is closed after them.
         is_closed: bool,
     },
-    /// Something was committed that the ring does not have: the store does.
+    /// A commit may have happened whose solutions are not in the ring. The watch reads the store.
     Unknown,
 }
 
@@ -74,7 +74,7 @@ impl Live {
         self.ring.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A watch on what a session commits from now on.
+    /// A watch on the commits of a session from now on.
     pub(super) fn watch(self: &Arc<Self>, session: SessionKey) -> Watch {
         self.watches.fetch_add(1, Ordering::AcqRel);
         let mut ring = self.ring();
@@ -85,12 +85,12 @@ impl Live {
         Watch { live: self.clone(), session, changed: watched.changed.clone(), next }
     }
 
-    /// Whether anybody may watch a session.
+    /// Whether there is any watch, of any session.
     fn has_watches(&self) -> bool {
         self.watches.load(Ordering::Acquire) != 0
     }
 
-    /// Publishes what a session has committed.
+    /// Publishes the solutions that a session has committed.
     pub(super) fn publish<'a>(
         &self,
         session: SessionKey,
@@ -100,12 +100,12 @@ impl Live {
         self.add(session, solutions.into_iter().map(entry));
     }
 
-    /// Publishes that a session may have committed something else.
+    /// Publishes that a session may have committed solutions that are not in the ring.
     pub(super) fn publish_unknown(&self, session: SessionKey) {
         self.add(session, [Entry::Unknown]);
     }
 
-    /// Publishes the same of all watched sessions but those for which `is_here` holds.
+    /// Does [`Self::publish_unknown`] for all watched sessions for which `is_here` is false.
     pub(super) fn publish_elsewhere(&self, is_here: impl Fn(SessionKey) -> bool) {
         if !self.has_watches() {
             return;
@@ -136,7 +136,7 @@ impl Live {
 }
 
 impl Ring {
-    /// Number of the entry that comes next.
+    /// Number of the next entry.
     fn end(&self) -> u64 {
         self.left + self.entries.len() as u64
     }
@@ -155,7 +155,7 @@ impl Watch {
         }
     }
 
-    /// What has arrived since the last time.
+    /// The entries that have arrived since the last call.
     fn arrived(&mut self) -> Option<News> {
         let ring = self.live.ring();
         let next = std::mem::replace(&mut self.next, ring.end());

@@ -2,8 +2,8 @@
 //!
 //! The doors call [`Sessions`]. The epochs of a push wait in their session's bounded mailbox. The
 //! session's task takes all waiting pushes as one batch, positions it on the solver pool, and
-//! commits epochs and solutions in one transaction. Only after the commit it keeps the estimator's
-//! new state and answers. So everything that is acknowledged is durable.
+//! commits epochs and solutions in one transaction. Only after the commit it replaces its estimator
+//! by the new state, and answers. So everything that is acknowledged is durable.
 //!
 //! # Order and overlap
 //! Pushes enter a mailbox in the order of the [`Sessions::enqueue`] calls, and are answered in this
@@ -14,13 +14,13 @@
 //! and one transaction of the store commits many of them.
 //!
 //! # State and reproducibility
-//! A session's state is the state of its estimator. It is stored every 256 epochs, or when
-//! computing the epochs since again would take too long, in the same transaction. A session that is
-//! parked leaves its encoded state in memory, up to a limit, and goes on from there. To restore a
-//! state from the store, the epochs stored since then are replayed, each with the configuration and
-//! navigation data of its solution. So the state after a crash is the same bit by bit, and so are
-//! all later solutions. An epoch with another configuration than the previous one starts a new
-//! estimator, both originally and in replay.
+//! A session's state is the state of its estimator. It is stored every 256 epochs, in the same
+//! transaction as the epochs, or earlier if computing them again would take too long. A session
+//! that is parked leaves its encoded state in memory, up to a limit, and continues from it. To
+//! restore a state from the store, the epochs stored since then are replayed, each with the
+//! configuration and navigation data of its solution. So the state after a crash is the same bit by
+//! bit, and so are all later solutions. An epoch with another configuration than the previous one
+//! starts a new estimator, both originally and in replay.
 //!
 //! # Revisions
 //! Revision 0 is the immediate answer. When an epoch leaves the window, it is answered again,
@@ -30,9 +30,9 @@
 //!
 //! # Failures
 //! A failed commit acknowledges nothing, and the session continues from the state before it. A
-//! commit that failed during `COMMIT` may have succeeded all the same. Then the task keeps both
-//! states, and asks the store before the next batch which one holds. Clients send the epochs again;
-//! those that were stored are answered from the store.
+//! commit that failed during `COMMIT` may still have succeeded. Then the task keeps both states,
+//! and asks the store before the next batch which of them is valid. Clients send the epochs again;
+//! the stored ones are answered from the store.
 //!
 //! # Deletion
 //! A deleted session is closed first and then not found any more. Its epochs and solutions are
@@ -40,10 +40,10 @@
 //! never used again.
 //!
 //! # Retention
-//! A session may keep its epochs for a number of days only. It then keeps the first snapshot of
-//! each day, and epochs are removed through the newest snapshot that is older than that, every hour
-//! and in the same small steps. So all that remains can be replayed, from this snapshot on. A
-//! removed epoch that is sent again is refused as already acknowledged.
+//! A session may keep its epochs for a limited number of days. It then keeps the first snapshot of
+//! each day. Every hour its epochs are removed, in the same small steps, through the newest kept
+//! snapshot that is older than the retention. So all that remains can be replayed, from this
+//! snapshot on. A removed epoch that is sent again is refused as already acknowledged.
 //!
 //! # Example
 //!

@@ -13,9 +13,9 @@ use super::{SessionError, SessionId};
 const STAY: Duration = Duration::from_secs(60);
 
 impl Sessions {
-    /// Gives up a session of this node whose requests now arrive at another one: that one claims it
-    /// when the device comes again. Returns whether it has; a session with waiting epochs, or one
-    /// that came here lately, stays.
+    /// Gives up a session of this node because its requests now arrive at another node, which
+    /// claims it with the device's next request. Returns whether it was given up. A session with
+    /// waiting epochs, or one that started here recently, stays.
     ///
     /// # Errors
     /// The store fails.
@@ -28,14 +28,15 @@ impl Sessions {
                 if waits || handle.started.elapsed() < STAY {
                     return Ok(false);
                 }
-                // Whatever its task still commits is left out: the fence is another one then.
+                // Later commits of its task are left out, because the session then has another
+                // fence.
                 tasks.handles.remove(id);
             }
         }
         let row = self.row(id).await?;
         match self.store().claim(row.key).await {
             Ok(Claim::Own) => self.store().release(row.key).await.map(|()| true),
-            // It was nobody's.
+            // It belonged to no live node.
             Ok(Claim::Taken) => Ok(false),
             Err(error) => Err(error),
         }

@@ -12,7 +12,7 @@ use super::{SessionError, SessionId};
 /// Epochs that are read at a time.
 const PAGE: usize = 128;
 
-/// The stored epochs of a session in a span of time. Those that arrive later are not among them.
+/// The stored epochs of a session in a span of time. Epochs that arrive later are not included.
 #[derive(Clone)]
 pub struct ObservedEpochs {
     store: Store,

@@ -3,8 +3,8 @@
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// The result of `work`, or the message of its panic. What it changed is then undefined and must be
-/// replaced.
+/// The result of `work`, or the message of its panic. After a panic, everything that `work` changed
+/// is in an undefined state and must be replaced.
 pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|panic| message(&*panic))
 }
@@ -40,7 +40,7 @@ mod tests {
         Sessions::open(store.clone(), aiding, SessionLimits::service())
     }
 
-    /// A drive of which the estimator fails on epochs 10, 11 and 25.
+    /// A drive on whose epochs 10, 11 and 25 the estimator panics.
     async fn drive(sessions: &Sessions) -> Vec<SequencedEpoch> {
         let simulator = Simulator::new(Scenario { duration_s: 40.0, ..Scenario::open_sky() }, 1);
         let navigation = (**simulator.navigation()).clone();
@@ -77,8 +77,8 @@ mod tests {
         outcomes.into_iter().map(|outcome| outcome.result.unwrap()).collect()
     }
 
-    /// The epochs on which the estimator fails are stored and answered, those around them are
-    /// positioned, and a restart and a replay give the same.
+    /// Epochs on which the estimator panics are stored and answered, and the epochs around them are
+    /// positioned. A restart and a replay give the same answers.
     #[tokio::test]
     async fn an_epoch_that_fails_is_quarantined() {
         let folder = tempfile::tempdir().unwrap();

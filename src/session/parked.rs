@@ -1,5 +1,5 @@
-//! States of parked sessions in memory, encoded: less than half of what a session in use takes. The
-//! least recently parked make room for others.
+//! Encoded states of parked sessions in memory: each takes less than half the memory of an active
+//! session. The least recently parked states are dropped to make room.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -15,28 +15,29 @@ use super::configuration::base_of;
 use super::configurations::ActiveConfiguration;
 use super::state::{Carried, State};
 
-/// Memory of a parked state beside its content (bytes).
+/// Memory of a parked state besides its content (bytes).
 const OVERHEAD: usize = 3_072;
-/// Spare bytes of a buffer that need not be given back: buffers pass from one state to the next, so
-/// that none is allocated.
+/// Spare capacity of a buffer that is not given back (bytes). Buffers are used again for the next
+/// states, so that none is allocated.
 const SPARE: usize = 16 << 10;
 
-/// Time in which a desk that stops stores the states of its sessions. The epochs of the others are
-/// replayed.
+/// Time in which a desk that stops stores the states of its sessions. Sessions whose state is not
+/// stored by then replay their epochs after the restart.
 const STORING_AT_STOP: Duration = Duration::from_secs(5);
 
-/// The end of the time in which states are stored, if the desk stops now.
+/// The time until which states are stored, if the desk stops now.
 pub(super) fn stores_until() -> Instant {
     Instant::now() + STORING_AT_STOP
 }
 
-/// Who keeps the states of parked sessions: the desk.
+/// The keeper of the states of parked sessions, which is the desk.
 pub(super) trait KeepsParked: Send + Sync {
-    /// Until when the states of sessions are stored, if no session will start any more.
+    /// The time until which states are stored; `None` while the desk does not stop.
     fn stops(&self) -> Option<Instant>;
 
-    /// Keeps the state of a session whose task ends, unless it has changed since the task was to
-    /// end. Returns the states that make room for it. `task` is the task's mark.
+    /// Keeps the state of a session whose task has ended, unless the session has changed since the
+    /// task was told to end. Returns the states that were dropped to make room. `task` is the mark
+    /// of the task, as in `Tasks::parking`.
     fn keep_parked(
         &self,
         id: &SessionId,
@@ -45,12 +46,12 @@ pub(super) trait KeepsParked: Send + Sync {
     ) -> Vec<ParkedState>;
 }
 
-/// The encoded state of a session, and what goes with it.
+/// The encoded state of a session, with its configuration and the values that it carries.
 pub(super) struct ParkedState {
     pub(super) key: SessionKey,
     pub(super) tenant: Tenant,
     pub(super) seq: u64,
-    /// Without a hash: it does not leave the memory.
+    /// The bytes of the state. They have no hash, because they do not leave the memory.
     content: Vec<u8>,
     configuration: Arc<ActiveConfiguration>,
     /// Hash of the configuration with which the state was computed.
@@ -61,8 +62,8 @@ pub(super) struct ParkedState {
 }
 
 impl ParkedState {
-    /// The encoded state of a session; `None` before the first epoch, and of a state that has
-    /// another configuration than the next epoch.
+    /// The encoded state of a session; `None` before the first epoch, and if the next epoch would
+    /// start a new estimator because the configuration has changed.
     pub(super) fn of(
         (key, tenant): (SessionKey, &Tenant),
         state: &State,
@@ -116,7 +117,7 @@ impl ParkedState {
         (state.map(|state| state.with(self.carried)), self.content)
     }
 
-    /// Whether the settings of a session are still those of its parking.
+    /// Whether the session has the same settings and last epoch as when it was parked.
     fn is_of(&self, row: &SessionRow) -> bool {
         let (settings, active) = (&row.settings, &self.configuration);
         let mode = active.estimation.options.mode;
@@ -134,7 +135,8 @@ impl ParkedState {
 /// The states of parked sessions, up to a limit of their bytes.
 pub(super) struct ParkedStates {
     states: HashMap<SessionId, (u64, ParkedState)>,
-    /// The order of parking. Entries of states that have been taken since are skipped.
+    /// The order of parking. It may have entries of states that are no longer there; they are
+    /// skipped.
     order: VecDeque<(u64, SessionId)>,
     parked: u64,
     bytes: usize,
@@ -152,7 +154,7 @@ impl ParkedStates {
         self.states.len()
     }
 
-    /// Adds a state. Returns the oldest ones, which make room for it.
+    /// Adds a state. Returns the oldest states, which were dropped to make room.
     pub(super) fn insert(&mut self, id: &SessionId, state: ParkedState) -> Vec<ParkedState> {
         self.remove(id);
         self.parked += 1;
@@ -174,7 +176,7 @@ impl ParkedStates {
         dropped
     }
 
-    /// Takes the state of a session, if there is one and the session is as it was.
+    /// Takes the state of a session, if there is one and the session has not changed since.
     pub(super) fn take(&mut self, id: &SessionId, row: &SessionRow) -> Option<ParkedState> {
         self.remove(id).filter(|state| state.is_of(row))
     }

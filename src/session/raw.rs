@@ -46,11 +46,11 @@ pub struct RawReceived {
     pub durable_through: Option<u64>,
     /// Number of stored bytes: the offset at which the device continues.
     pub raw_through: u64,
-    /// What the new bytes contained. Its epochs are in `outcomes`.
+    /// The decoded content of the new bytes. Its epochs are in `outcomes`.
     pub received: Received,
     /// All bytes of the chunk were stored already.
     pub resent: bool,
-    /// How the session's solutions are given out.
+    /// Frame and heights in which the session's solutions are reported.
     pub output: OutputOptions,
 }
 

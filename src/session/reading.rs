@@ -1,4 +1,4 @@
-//! What the desk reads from the store, and how it removes what is expired.
+//! Reads of the desk from the store, and the removal of expired rows.
 
 use std::time::Duration;
 
@@ -19,7 +19,7 @@ impl Sessions {
         self.info(id.clone(), self.row(id).await?)
     }
 
-    /// The part of the solver pool that batch jobs have.
+    /// The lane of the solver pool for batch jobs.
     pub fn batch_lane(&self) -> BatchLane {
         self.solvers().batch_lane(self.meters().clone())
     }
@@ -75,8 +75,8 @@ impl Sessions {
         Ok(SolutionPage { page, oldest_available: oldest_available(row.removed_through), output })
     }
 
-    /// Removes the epochs that are older than their session's retention, and returns when it has.
-    /// The desk does so every hour.
+    /// Removes the epochs that are older than their session's retention. Returns when they are
+    /// removed. The desk does this every hour.
     ///
     /// # Errors
     /// The store fails.
@@ -84,8 +84,8 @@ impl Sessions {
         Ok(self.expiry().remove().await?)
     }
 
-    /// Time by which the clock is ahead of the time by which the ages of epochs are counted, if it
-    /// is more than a day. Epochs are kept for longer by as much.
+    /// Time by which the system clock is ahead of the time by which ages are counted, if it is more
+    /// than a day. Epochs are kept longer by this time.
     pub fn clock_ahead(&self) -> Option<Duration> {
         self.expiry().clock_ahead()
     }

@@ -1,4 +1,4 @@
-//! Computes a stored session again, to check that the bits are the same, or with another
+//! Computes a stored session again: to check that the bits are the same, or with another
 //! configuration.
 
 use std::collections::BTreeMap;
@@ -25,9 +25,9 @@ pub struct Recomputation {
     /// `None` once everything is computed.
     state: Option<State>,
     after: Option<u64>,
-    /// Number of the epoch after which it begins, if those before are removed.
+    /// Number of the epoch after which it begins, if earlier epochs are removed.
     began_after: Option<u64>,
-    /// Whether the epochs in the window at the end get their last revision.
+    /// Whether the epochs that are in the window at the end get their last revision.
     ends_windows: bool,
     configuration_hash: Arc<str>,
 }
@@ -45,7 +45,7 @@ pub struct Check {
     pub not_computed: usize,
     /// Epoch number and revision of the first difference.
     pub first: Option<(u64, u32)>,
-    /// Number of the epoch after which it begins, if those before are removed.
+    /// Number of the epoch after which it begins, if earlier epochs are removed.
     pub began_after: Option<u64>,
 }
 
@@ -57,7 +57,7 @@ impl Check {
 }
 
 impl Recomputation {
-    /// Opens a session for computing it as it was, or with the options of `change`.
+    /// Opens a session to compute it as it was, or with the options of `change`.
     ///
     /// # Errors
     /// No session has this id, a configuration does not exist, or the store fails.

@@ -17,19 +17,19 @@ use super::SessionLimits;
 const EPOCHS_PER_STEP: usize = 500;
 /// Entries of the audit log, or rows of the history, removed in one transaction.
 const ENTRIES_PER_STEP: usize = 500;
-/// Between transactions, for those of others.
+/// Pause between transactions, so that those of others come in between.
 const PAUSE: Duration = Duration::from_millis(20);
 const RETRY: Duration = Duration::from_secs(10);
-/// Between checks for epochs that are older than their retention, which is counted in days.
+/// Interval of the removal of epochs that are older than their retention, which is in days.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(3_600);
-/// Between looks whether this node leads its cluster.
+/// Interval of checks whether this node leads its cluster.
 const LEAD_INTERVAL: Duration = Duration::from_secs(5);
-/// A clock that is ahead of the time of the ages by more than this has been set, or the service did
-/// not run (ms).
+/// If the clock is ahead of the counted time by more than this, it was set, or the service did not
+/// run (ms).
 const STEP_MS: i64 = MS_PER_DAY;
 const MS_PER_DAY: i64 = 86_400_000;
 
-/// Removes what deleted sessions have stored, whenever it is woken; first what is left from before.
+/// Removes the rows of deleted sessions at the start, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
     loop {
         match store.remove_deleted(EPOCHS_PER_STEP).await {
@@ -55,7 +55,7 @@ pub(super) struct Expiry {
     history_days: u32,
     /// The clock's [`Clock::elapsed_ms`] when ages were last counted. Locked during a removal.
     counted_ms: tokio::sync::Mutex<i64>,
-    /// Time by which the clock was ahead of the time of the ages then (ms).
+    /// Time by which the clock was then ahead of the counted time (ms).
     ahead_ms: AtomicI64,
 }
 
@@ -67,7 +67,7 @@ impl Expiry {
         Self { store, clock, retention_days, audit_days, history_days, counted_ms, ahead_ms }
     }
 
-    /// Removes them once an hour. In a cluster the leader does.
+    /// Removes them once an hour. In a cluster only the leader does.
     pub(super) async fn remove_hourly(self: Arc<Self>) {
         loop {
             if !self.store.leads() {
@@ -89,7 +89,7 @@ impl Expiry {
         let mut counted_ms = self.counted_ms.lock().await;
         let today = self.today(&mut counted_ms).await?;
         let (store, retention_days) = (&self.store, self.retention_days);
-        // Marked first, so that whole days of the log are dropped where nothing of them is kept.
+        // Marked first, so that whole days of the log can be dropped if none of their rows is kept.
         store.mark_expired(today, retention_days).await?;
         store.drop_days(today, retention_days).await?;
         loop {
@@ -135,8 +135,8 @@ impl Expiry {
         Ok(())
     }
 
-    /// Time by which the clock is ahead of the time by which ages are counted, if it is so far that
-    /// it must have been set. Epochs are kept for longer by as much.
+    /// Time by which the clock is ahead of the time by which ages are counted, if it must have been
+    /// set. Epochs are kept longer by this time.
     pub(super) fn clock_ahead(&self) -> Option<Duration> {
         let ahead_ms = self.ahead_ms.load(Ordering::Relaxed);
         (STEP_MS < ahead_ms).then(|| Duration::from_millis(ahead_ms as u64))

@@ -28,8 +28,8 @@ use super::state::{Advanced, Configuration, State, VERSION};
 
 /// Stored epochs per read.
 pub(super) const PAGE: usize = 256;
-/// Most epochs that are replayed if a session has no readable snapshot: more than the window of any
-/// mode.
+/// Most epochs that are replayed if a session has no readable snapshot. It is more than the window
+/// of any mode.
 const REBUILT_EPOCHS: usize = 4_096;
 
 /// The options and bases that replay uses.
@@ -47,14 +47,14 @@ pub(super) struct Replay {
     pub(super) aiding: AidingDesk,
     pub(super) solvers: Solvers,
     pub(super) key: SessionKey,
-    /// To whom the session belongs.
+    /// Tenant that owns the session.
     pub(super) tenant: Tenant,
     /// The session's device as a source of navigation data.
     pub(super) device: Arc<str>,
     pub(super) with: ReplayWith,
     /// Numbers of the epochs after which a new arc began, in order.
     pub(super) arcs: Arc<[u64]>,
-    /// A configuration that need not be read.
+    /// A configuration in memory, which need not be read from the store.
     pub(super) known: Option<Arc<Configuration>>,
     /// Whether missing data is tolerated: the present navigation data replace those no longer
     /// stored, and base epochs no longer stored are left out.
@@ -68,16 +68,16 @@ pub(super) struct Step {
     pub(super) navigation: PushedNavigation,
     pub(super) configuration: Arc<Configuration>,
     pub(super) base: StepBase,
-    /// The estimator panicked on it when it was received.
+    /// The estimator panicked on the epoch when it was received.
     is_quarantined: bool,
 }
 
 /// The base epochs that an epoch receives.
 pub(super) enum StepBase {
     None,
-    /// These, such as those of the stored solution.
+    /// These base epochs, such as those of the stored solution.
     Given(BaseInput),
-    /// The base epochs that the selection gives now.
+    /// The base epochs that the base selection chooses now.
     Selected(Arc<BaseSource>),
 }
 
@@ -148,7 +148,7 @@ impl Page {
     }
 }
 
-/// A snapshot that is being read, and advanced by the epochs after it.
+/// A snapshot while it is decoded, and then advanced by the epochs after it.
 enum Resuming {
     Encoded {
         snapshot: StoredSnapshot,
@@ -181,7 +181,8 @@ impl Resuming {
 }
 
 impl Replay {
-    /// The state of a snapshot, advanced by the epochs after it; `None` if it cannot be read.
+    /// The state of a snapshot, advanced by the epochs after it; `None` if the snapshot is
+    /// unreadable.
     async fn resumed(
         &self,
         snapshot: StoredSnapshot,
@@ -202,7 +203,7 @@ impl Replay {
     }
 
     /// Computes the next epochs after those of `state`. Returns their solutions and revisions; none
-    /// once everything is computed.
+    /// if everything is computed.
     pub(super) async fn next(
         &self,
         state: State,
@@ -220,7 +221,7 @@ impl Replay {
         Ok((done.state, done.answers))
     }
 
-    /// The epochs with everything that their solutions depend on.
+    /// The epochs, each with everything that its solution depends on.
     pub(super) async fn steps(&self, stored: Vec<StoredEpoch>) -> Result<Vec<Step>, SessionError> {
         let mut configurations: BTreeMap<Arc<str>, Arc<Configuration>> = BTreeMap::new();
         let mut pushes: BTreeMap<u64, PushedNavigation> = BTreeMap::new();
@@ -269,7 +270,7 @@ impl Replay {
         Ok(PageBases::Selected(Arc::new(source)))
     }
 
-    /// The configuration with which epochs of a stored one are computed.
+    /// The configuration with which epochs with this stored configuration are computed.
     pub(super) async fn configuration(
         &self,
         hash: &Arc<str>,
@@ -342,12 +343,12 @@ async fn configuration_of(
     Ok(Configuration { version: VERSION.into(), hash: hash.clone(), options, antenna })
 }
 
-/// The state after a session's last stored epoch: its newest snapshot, advanced by the epochs
-/// since.
+/// The state after a session's last stored epoch: its newest snapshot, advanced by the later
+/// epochs.
 ///
-/// A session without a snapshot is replayed from its first epoch. If the snapshot is of a version
-/// that this program cannot read, the last 4096 epochs are replayed instead. The state is then
-/// equally good, but not the same bit by bit.
+/// A session without a snapshot is replayed from its first epoch. If this program cannot read the
+/// layout of the snapshot, the last 4096 epochs are replayed instead. That state is equally good,
+/// but not the same bit by bit.
 pub(super) async fn restored(
     replay: &Replay,
     StoredState { snapshot, epochs, .. }: StoredState,

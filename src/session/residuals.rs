@@ -6,10 +6,10 @@ use super::desk::Sessions;
 use super::explanation::{Explaining, SatelliteRole};
 use super::{SessionError, SessionId};
 
-/// Most epochs of an answer. Each is read with those that its log row refers to.
+/// Most epochs of an answer. To read an epoch, those before it in its chain are read, too.
 pub const RESIDUAL_POINTS: usize = 500;
 
-/// Which epochs to look at.
+/// The epochs whose residuals are asked for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ResidualQuery {
     /// First time tag; `None` for the first stored epoch.
@@ -30,15 +30,15 @@ pub struct EpochResiduals {
     pub time: GpsTime,
     /// Used satellites with a residual.
     pub satellites: usize,
-    /// Root of their mean square (m); `None` without any.
+    /// Root mean square of the residuals (m); `None` without any.
     pub rms_m: Option<f64>,
-    /// The satellite whose residual is the largest by amount, and that residual (m).
+    /// The satellite with the largest absolute residual, and that residual (m).
     pub largest: Option<(SatelliteId, f64)>,
 }
 
 impl Sessions {
-    /// The residuals of evenly spaced epochs, in order of their numbers. Where numbers are missing,
-    /// the epoch with the next one is taken, so there may be fewer than asked.
+    /// The residuals of evenly spaced epochs, in order of their numbers. Where a number is missing,
+    /// the epoch with the next number is taken, so there may be fewer epochs than asked for.
     ///
     /// # Errors
     /// No session has this id, the number of points is out of range, or the store fails.
@@ -87,7 +87,7 @@ impl EpochResiduals {
     }
 }
 
-/// At most `points` numbers from `first` to `last`, evenly spaced; both ends if there are two.
+/// At most `points` numbers from `first` to `last`, evenly spaced. Two or more include both ends.
 fn spaced(first: u64, last: u64, points: usize) -> impl Iterator<Item = u64> {
     let span = last - first;
     let steps = (points as u64 - 1).min(span);

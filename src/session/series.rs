@@ -11,7 +11,7 @@ use super::{SessionError, SessionId};
 
 /// Most intervals of a series.
 pub const SERIES_POINTS: usize = 4_000;
-/// Most solutions that one page of a series is made of.
+/// Most solutions from which one page of a series is made.
 const PAGE_SOLUTIONS: usize = 100_000;
 /// Solutions that are read at a time.
 const BATCH: usize = 1_000;
@@ -21,10 +21,10 @@ const SHORTEST_NS: i64 = 1_000_000;
 /// The series to compute.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SeriesQuery {
-    /// First time tag; `None` for that of the first solution. The series begins no earlier than
-    /// the stored solutions.
+    /// First time tag; `None` for that of the first solution. The series does not begin before the
+    /// first stored solution.
     pub from: Option<GpsTime>,
-    /// Last time tag; `None` for that of the last solution. The series ends no later.
+    /// Last time tag; `None` for that of the last solution. The series does not end after it.
     pub to: Option<GpsTime>,
     /// Number of intervals, 1 to [`SERIES_POINTS`].
     pub points: usize,
@@ -45,7 +45,7 @@ pub struct SolutionSeries {
     pub intervals: BTreeMap<u32, Interval>,
     /// Number of solutions with each status.
     pub statuses: BTreeMap<Status, u64>,
-    /// The reasons, an example of each with the number of solutions that have it.
+    /// The reasons: an example of each, and the number of solutions that have it.
     pub reasons: Vec<(Reason, u64)>,
     /// Token of the next page; `None` on the last page.
     pub next_page_token: Option<String>,
@@ -56,9 +56,9 @@ pub struct SolutionSeries {
 pub struct Interval {
     /// Number of solutions.
     pub solutions: u32,
-    /// Number and time tag of the last.
+    /// Number and time tag of the last solution.
     pub last: (u64, GpsTime),
-    /// Status of the last.
+    /// Status of the last solution.
     pub status: Status,
     /// The worst and the best status.
     pub statuses: (Status, Status),
@@ -93,7 +93,7 @@ pub struct Range {
     pub last: f64,
 }
 
-/// Takes the next value of a quantity into its range. Values that are not finite are left out.
+/// Extends the range of a quantity by its next value. Values that are not finite are ignored.
 fn extend(range: &mut Option<Range>, value: Option<f64>) {
     let Some(value) = value.filter(|value| value.is_finite()) else { return };
     let before = range.unwrap_or(Range { min: value, max: value, last: value });

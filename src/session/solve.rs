@@ -185,7 +185,7 @@ impl Sessions {
         self.compute(estimation, burst.epochs, navigation, base).await
     }
 
-    /// Checks the window of a computation that a request asks for.
+    /// Checks that the window is not longer than a computation on request may have.
     fn check_window(&self, options: &PositioningOptions) -> Result<(), SessionError> {
         let (epochs, limit) = (window_epochs(options), self.limits().solve_window_epochs);
         match epochs <= limit {

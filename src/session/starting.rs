@@ -1,4 +1,4 @@
-//! Starts the tasks of sessions, and keeps the states that ended ones leave.
+//! Starts the tasks of sessions, and keeps the states of tasks that have ended.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,7 +17,7 @@ use super::tasks::{Handle, Start, Tasks};
 use super::{SessionError, SessionId};
 
 impl Sessions {
-    /// Starts a session's task. If as many run as allowed, some of them are parked.
+    /// Starts a session's task. If the limit of tasks is reached, some sessions are parked.
     pub(super) fn start(
         &self,
         id: &SessionId,
@@ -38,9 +38,9 @@ impl Sessions {
     /// Starts the task of a session whose parked state is in memory. Returns `false` if the session
     /// has no such state.
     ///
-    /// Nothing is read: who changes settings removes the state, and no one else writes to the
-    /// database. In a cluster another node may have had the session, so the answer is `false`
-    /// there.
+    /// Nothing is read from the store: a change of settings removes the parked state, and nobody
+    /// else writes to the database. In a cluster another node may have had the session, so the
+    /// answer is then `false`.
     pub(super) fn resume(&self, id: &SessionId) -> Result<bool, SessionError> {
         if self.store().is_of_cluster() {
             return Ok(false);
@@ -56,7 +56,7 @@ impl Sessions {
         Ok(true)
     }
 
-    /// Parks some sessions if as many run as allowed.
+    /// Parks some sessions if the limit of tasks is reached.
     fn make_room(&self, tasks: &mut Tasks, start: Start) -> Result<(), SessionError> {
         if tasks.stops.is_some() {
             return Err(SessionError::Draining);

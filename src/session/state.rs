@@ -25,9 +25,9 @@ use super::panics::caught;
 pub(super) const VERSION: &str = env!("CARGO_PKG_VERSION");
 /// Version of the layout, with an estimator's state in it.
 const LAYOUT: u16 = 5;
-/// The layout before, around an estimator's snapshot with a hash of its own. It is still read.
+/// The previous layout, with an estimator's snapshot that has a hash of its own. It is still read.
 const LAYOUT_BEFORE: u16 = 4;
-/// Bytes for each epoch in the window, for which a new buffer has room.
+/// Capacity of a new buffer for each epoch in the window (bytes).
 const BYTES_PER_EPOCH: usize = 8 << 10;
 
 /// In unit tests the estimator panics on epochs of this fraction of a second (ns).
@@ -36,7 +36,7 @@ pub(super) const PANICS_AT_NS: i64 = 123_456_789;
 #[cfg(test)]
 use crate::gnss::constants::NS_PER_SECOND;
 
-/// Time of the last epoch at the start of an arc: the next epoch may be earlier.
+/// Replaces the time of the last epoch at the start of an arc, so the next epoch may be earlier.
 const BEFORE_ALL: GpsTime = GpsTime::from_ns(i64::MIN);
 
 /// The program version and options that compute a solution.
@@ -53,7 +53,7 @@ pub(super) struct Configuration {
 #[derive(Debug)]
 pub(super) struct State {
     pub(super) estimator: EstimatorState,
-    /// Hash of the configuration that the estimator was made with.
+    /// Hash of the configuration with which the estimator was made.
     pub(super) configuration_hash: Arc<str>,
     /// The base that the estimator uses.
     base_selection: BaseSelection,
@@ -65,17 +65,17 @@ pub(super) struct State {
     unrevised: VecDeque<(u64, GpsTime)>,
     /// Number of epochs since the state was last stored.
     pub(super) unsaved: usize,
-    /// Processor time of their computing, which a replay would use again.
+    /// Processor time in which they were computed. A replay would need it again.
     pub(super) unsaved_time: Duration,
     /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
     /// epoch after a restore is stored whole.
     pub(super) reference: Option<EpochReference>,
-    /// The encoded first answers of epochs that may be revised. They are not part of snapshots
-    /// either; the revisions of other epochs are stored whole.
+    /// The encoded first answers of epochs that may be revised. They are not part of snapshots. A
+    /// revision without a first answer here is stored whole.
     first_answers: VecDeque<(u64, FirstAnswer)>,
 }
 
-/// What a state in memory has beside its snapshot.
+/// The values of a state in memory that its snapshot does not contain.
 #[derive(Clone, Debug)]
 pub(super) struct Carried {
     unsaved: usize,
@@ -134,7 +134,7 @@ impl State {
         }
     }
 
-    /// The base epochs to give with the next rover epoch.
+    /// The base epochs that the estimator receives with the next rover epoch.
     pub(super) fn base_for(
         &self,
         source: &BaseSource,
@@ -149,7 +149,7 @@ impl State {
         selection.next(source, epoch, navigation, &configuration.options)
     }
 
-    /// The base of the last epoch that had one.
+    /// The base of the last epoch that used one.
     pub(super) const fn base(&self) -> Option<BaseKey> {
         self.base_selection.base
     }
@@ -177,9 +177,9 @@ impl State {
 
     /// Solves the next epoch.
     ///
-    /// If the configuration differs from that of the previous epoch, or the base's antenna has
-    /// another calibration, a new estimator starts: the epochs in the old one's window get their
-    /// last revision, and nothing is carried over. If the base differs, the estimator itself
+    /// A new estimator starts if the configuration differs from that of the previous epoch, or if
+    /// the base's antenna has another calibration. The epochs in the old window get their last
+    /// revision, and nothing is carried over. If only the base differs, the estimator itself
     /// restarts what is relative to the base.
     pub(super) fn advance(
         &mut self,
@@ -237,7 +237,7 @@ impl State {
         self.last.is_some_and(|(_, time)| time == BEFORE_ALL)
     }
 
-    /// Begins a new arc after the last epoch: the next one may be earlier. Returns the last
+    /// Begins a new arc after the last epoch, so the next epoch may be earlier. Returns the last
     /// revisions of the epochs in the window.
     pub(super) fn begin_arc(
         &mut self,
@@ -250,8 +250,9 @@ impl State {
         revisions
     }
 
-    /// Answers an epoch on which the estimator panicked: no position, and why. The estimator starts
-    /// again, and the epochs in its window get no revision. A replay does the same by the answer.
+    /// Answers an epoch on which the estimator panicked: without a position, with the reason. The
+    /// estimator starts again, and the epochs in its window get no revision. A replay recognises
+    /// such an answer and does the same.
     pub(super) fn quarantine(
         &mut self,
         seq: u64,
@@ -274,8 +275,8 @@ impl State {
         Advanced { solution, revisions: Vec::new() }
     }
 
-    /// The last revisions of the epochs in the window; none if the estimator panics. The window is
-    /// then empty.
+    /// The last revisions of the epochs in the window, which is then empty. None if the estimator
+    /// panics.
     pub(super) fn finish(&mut self, scratch: &mut Scratch) -> Vec<StoredSolution> {
         let fresh = self.estimator.renewed(true);
         let estimator = std::mem::replace(&mut self.estimator, fresh);
@@ -290,7 +291,7 @@ impl State {
         revisions
     }
 
-    /// The revisions with the numbers of their epochs.
+    /// The revisions, with the numbers of their epochs.
     fn numbered(&mut self, revised: Vec<Solution>, version: &Arc<str>) -> Vec<StoredSolution> {
         let number = |solution: Solution| {
             let index = self.unrevised.iter().position(|(_, time)| *time == solution.time)?;
@@ -306,8 +307,8 @@ impl State {
         revised.into_iter().filter_map(number).collect()
     }
 
-    /// Remembers the last epoch as it is stored, for the encoding of the next one and of its
-    /// revision.
+    /// Remembers an epoch as it is stored. The next epoch and its own revision are encoded relative
+    /// to it.
     pub(super) fn remember(&mut self, stored: &EncodedEpoch) {
         self.reference = Some(stored.reference().clone());
         let newest = self.unrevised.back().map(|(seq, _)| *seq);
@@ -336,14 +337,14 @@ impl State {
         encoded
     }
 
-    /// Notes that the state is stored. The next epoch is stored whole: a restore then reads no
-    /// epoch before it, and retention may remove those. Its bytes are few beside the state's.
+    /// Notes that the state is stored. The next epoch is stored whole, so that a restore reads no
+    /// earlier epoch, and retention may remove those. It takes few bytes compared with the state.
     pub(super) fn note_stored(&mut self) {
         (self.unsaved, self.unsaved_time) = (0, Duration::ZERO);
         self.reference = None;
     }
 
-    /// What [`Self::unsealed`] leaves.
+    /// The values that [`Self::unsealed`] leaves out.
     pub(super) fn carried(&self) -> Carried {
         Carried {
             unsaved: self.unsaved,
@@ -353,7 +354,7 @@ impl State {
         }
     }
 
-    /// The decoded state with what was carried beside it.
+    /// The decoded state, with the values that were carried besides it.
     pub(super) fn with(self, carried: Carried) -> Self {
         let Carried { unsaved, unsaved_time, reference, first_answers } = carried;
         Self { unsaved, unsaved_time, reference, first_answers, ..self }
@@ -365,8 +366,8 @@ impl State {
         Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), seal(content)))
     }
 
-    /// The content of the encoded state, not yet sealed, in a buffer, and the number of the epoch
-    /// after which it is.
+    /// The content of the encoded state, not yet sealed, in a buffer, and the number of its last
+    /// epoch.
     pub(super) fn unsealed(&self, mut buffer: Vec<u8>) -> Option<(u64, Vec<u8>)> {
         let (seq, time) = self.last?;
         if buffer.capacity() == 0 {
@@ -381,7 +382,7 @@ impl State {
         Some((seq, writer.finish_unsealed()))
     }
 
-    /// Decodes the state that [`Self::encoded`] gave after epoch `seq`, with its configuration.
+    /// Decodes the state that [`Self::encoded`] returned after epoch `seq`, with its configuration.
     pub(super) fn decode(
         seq: u64,
         content: &[u8],
@@ -399,7 +400,7 @@ impl State {
         Self::read(seq, reader, configuration, EstimatorState::load_in)
     }
 
-    /// The same of what [`Self::unsealed`] gave.
+    /// Decodes a state that [`Self::unsealed`] returned.
     pub(super) fn decode_unsealed(
         seq: u64,
         content: &[u8],
@@ -409,7 +410,7 @@ impl State {
         Self::read(seq, reader, configuration, EstimatorState::load_in)
     }
 
-    /// Reads a state, and its estimator by `estimator`.
+    /// Reads a state. `estimator` reads its estimator.
     fn read(
         seq: u64,
         mut reader: SnapshotReader<'_>,
@@ -449,8 +450,8 @@ mod tests {
 
     use super::*;
 
-    /// A state of the layout before is read, and goes on with the same bits; so does one that never
-    /// left the memory.
+    /// A state in the previous layout is read and continues with the same bits. So does one that
+    /// never left the memory.
     #[test]
     fn states_of_both_layouts_go_on_with_the_same_bits() {
         let simulator = Simulator::new(Scenario { duration_s: 20.0, ..Scenario::open_sky() }, 1);

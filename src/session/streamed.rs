@@ -1,4 +1,4 @@
-//! What the desk does for a stream: pushes without waiting for their answers, and the stored
+//! Calls of the desk for streams: pushes that do not wait for their answers, and the stored
 //! answers that a device has missed.
 
 use tokio::sync::oneshot;
@@ -13,14 +13,14 @@ use super::{
     Submitted,
 };
 
-/// A push of a stream, until the session's mailbox takes it.
+/// A push of a stream, before the session's mailbox takes it.
 pub struct StreamedPush {
     message: Option<Message>,
     epochs: usize,
 }
 
 impl StreamedPush {
-    /// Number of its epochs; zero of a chunk, whose epochs are not known before it is decoded.
+    /// Number of its epochs; zero for a chunk, whose epochs are unknown before it is decoded.
     pub(crate) fn known_epochs(&self) -> usize {
         match &self.message {
             Some(Message::Submission(submission)) => submission.epochs.len(),
@@ -70,7 +70,8 @@ impl Sessions {
     /// order.
     ///
     /// # Errors
-    /// The mailbox does not take it now, or never. The push stays as it is, and may be tried again.
+    /// The mailbox does not take the push now, or never will. The push stays and may be tried
+    /// again.
     pub(crate) async fn post_streamed(
         &self,
         id: &SessionId,
@@ -79,8 +80,8 @@ impl Sessions {
         self.send(id, &mut push.message, push.epochs).await
     }
 
-    /// A session after what waits in its mailbox is committed: the pushes of a stream that broke
-    /// are not on their way any more.
+    /// A session, read after everything in its mailbox is committed. So no push of an earlier,
+    /// broken stream is still waiting.
     ///
     /// # Errors
     /// No session has this id, or the store fails.

@@ -1,4 +1,4 @@
-//! Epochs on their way in, and the answers to them.
+//! Epochs that are pushed, and the answers to them.
 
 use std::ops::RangeInclusive;
 
@@ -30,7 +30,7 @@ pub struct Submitted {
     pub outcomes: Vec<EpochOutcome>,
     /// Number of the session's last committed epoch. A device may delete its epochs up to this one.
     pub durable_through: Option<u64>,
-    /// How the session's solutions are given out.
+    /// Frame and heights in which the session's solutions are reported.
     pub output: OutputOptions,
 }
 
@@ -90,8 +90,8 @@ pub enum EpochRefusal {
         /// Time of the session's last epoch.
         last: GpsTime,
     },
-    /// The time is far ahead of the service's clock. Stored, it would let the session refuse all
-    /// epochs until then.
+    /// The time is far ahead of the service's clock. If it were stored, the session would refuse
+    /// all epochs until that time.
     #[error("epoch {seq} at {time} is more than {ahead_s} s ahead of the service's clock")]
     TimeImplausible {
         /// Number of the epoch.

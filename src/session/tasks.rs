@@ -15,8 +15,8 @@ use super::SessionId;
 use super::parked::ParkedStates;
 use super::task::Message;
 
-/// To make room, this part of the allowed tasks is parked at once, so that a start does not look
-/// through all of them each time.
+/// To make room, this fraction of the allowed tasks (1/64) is parked at once. So a start does not
+/// search all tasks each time.
 const PARKED_PART: usize = 64;
 
 /// The running tasks. Messages are sent while this is locked, so a task that was removed from
@@ -24,16 +24,16 @@ const PARKED_PART: usize = 64;
 pub(super) struct Tasks {
     pub(super) handles: HashMap<SessionId, Handle>,
     pub(super) parked: ParkedStates,
-    /// The marks of tasks that have been told to end and have not left their states yet.
+    /// The marks of tasks that were told to end and have not handed over their states yet.
     pub(super) parking: HashMap<SessionId, Arc<AtomicBool>>,
     pub(super) running: JoinSet<()>,
     /// Counts messages, to find the least recently used sessions.
     pub(super) posted: u64,
-    /// Set once no session starts any more: until when states are stored.
+    /// The time until which states are stored. It is set when no session may start any more.
     pub(super) stops: Option<Instant>,
 }
 
-/// What a task is started for.
+/// The purpose for which a task is started.
 #[derive(Clone, Copy, PartialEq)]
 pub(super) enum Start {
     Epochs,
@@ -44,18 +44,18 @@ pub(super) enum Start {
 /// A running task.
 pub(super) struct Handle {
     pub(super) key: SessionKey,
-    /// To whom the session belongs.
+    /// Tenant that owns the session.
     pub(super) tenant: Tenant,
     pub(super) mailbox: mpsc::Sender<Message>,
     pub(super) waiting: Arc<AtomicUsize>,
-    /// The settings have changed since the task read them. It is also the mark of the task.
+    /// Set when the settings have changed since the task read them. It also identifies the task.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) last_used: u64,
     pub(super) started: Instant,
 }
 
 impl Tasks {
-    /// No tasks; parked states may have `parked_bytes` bytes.
+    /// No tasks. Parked states may take `parked_bytes` bytes.
     pub(super) fn new(parked_bytes: usize) -> Self {
         let (handles, parked) = (HashMap::new(), ParkedStates::new(parked_bytes));
         let (parking, running) = (HashMap::new(), JoinSet::new());
@@ -67,7 +67,8 @@ impl Tasks {
         self.handles.get(id).filter(|handle| handle.tenant == *tenant)
     }
 
-    /// The settings of a session have changed: its task reads them before its next epochs.
+    /// Notes that the settings of a session have changed: its task reads them before its next
+    /// epochs.
     pub(super) fn outdate(&mut self, id: &SessionId) {
         if let Some(handle) = self.handles.get(id) {
             handle.outdated.store(true, Ordering::Release);
@@ -86,8 +87,8 @@ impl Tasks {
         self.handles.len() + self.parked.len()
     }
 
-    /// Ends the least recently used tasks with an empty mailbox, one or a small part of `limit`;
-    /// `false` if every mailbox has epochs.
+    /// Ends the least recently used tasks with an empty mailbox: one, or a small fraction of
+    /// `limit`. `false` if no mailbox is empty.
     pub(super) fn park_some(&mut self, limit: usize) -> bool {
         let idle = self.handles.iter().filter(|(_, h)| h.waiting.load(Ordering::Acquire) == 0);
         let mut idle: Vec<(u64, SessionId)> =

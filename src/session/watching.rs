@@ -1,4 +1,4 @@
-//! Watches: what a session commits, from any solution on.
+//! Watches of a session's commits, from any solution on.
 
 use crate::config::OutputOptions;
 use crate::store::{Revisions, SolutionQuery, StoredSolution};
@@ -30,12 +30,12 @@ pub struct WatchPage {
     pub oldest_available: Option<u64>,
     /// Whether the session was closed before the page was read.
     pub is_closed: bool,
-    /// How they are given out.
+    /// Frame and heights in which the solutions are reported.
     pub output: OutputOptions,
 }
 
 impl WatchCursor {
-    /// Notes that a solution is seen; `false` if it was seen before.
+    /// Notes that a solution is sent; `false` if it was sent before.
     pub(crate) fn see(&mut self, solution: &StoredSolution) -> bool {
         let seen = if solution.revision == 0 { &mut self.answers } else { &mut self.revisions };
         let is_new = *seen < solution.seq;
@@ -45,8 +45,8 @@ impl WatchCursor {
 }
 
 impl Sessions {
-    /// A watch on what a session commits from now on, and the cursor behind what it has committed.
-    /// That cursor may be behind some of the watch's first solutions, too.
+    /// A watch on the commits of a session from now on, and the cursor after its stored solutions.
+    /// Some of the watch's first solutions may already be before that cursor.
     ///
     /// # Errors
     /// No session has this id, or the store fails.
@@ -54,12 +54,12 @@ impl Sessions {
         let key = self.row(id).await?.key;
         let watch = self.live().watch(key);
         let answers = self.row(id).await?.last_seq.unwrap_or(0);
-        // The revisions that are still to come are those of later epochs.
+        // Only later epochs still get revisions.
         let revisions = self.store().last_revised(key).await?.unwrap_or(0);
         Ok((watch, WatchCursor { answers, revisions }))
     }
 
-    /// The next at most `count` answers after a cursor, and as many revisions, if these are wanted.
+    /// The next answers after a cursor, at most `count`, and as many revisions, if they are wanted.
     ///
     /// # Errors
     /// No session has this id, or the store fails.

@@ -1,8 +1,8 @@
 //! A stored session positioned again for a batch job: with another mode, profile, base or kind of
 //! answer, or as it was answered.
 //!
-//! Each epoch has the navigation data with which it was answered. Epochs are read in pages; who
-//! calls computes them one by one, in turns of the solver pool. Nothing is stored.
+//! Each epoch has the navigation data with which it was answered. Epochs are read in pages. The
+//! caller computes them one by one, in turns of the solver pool. Nothing is stored.
 
 mod plan;
 mod whole;
@@ -44,14 +44,14 @@ pub struct Rerun<'a> {
     base: Option<BaseRecording<'a>>,
     estimating: Estimating,
     scratch: Box<Scratch>,
-    /// The epochs that are read and not positioned yet.
+    /// The epochs that are read but not positioned yet.
     steps: IntoIter<Step>,
-    /// Number of the last epoch that is read, or of the one after which it begins.
+    /// Number of the last epoch that is read, or of the epoch after which the plan begins.
     after: Option<u64>,
     /// Number of the last epoch that is positioned.
     passed: Option<u64>,
-    /// Number of the last epoch before the checkpoint after which it goes on. Epochs up to it are
-    /// read only.
+    /// Number of the last epoch before the checkpoint from which it continues. Epochs up to this
+    /// number are only read.
     positioned: Option<u64>,
     /// Number of the last epoch that was removed before it was read.
     removed_through: Option<u64>,
@@ -59,16 +59,16 @@ pub struct Rerun<'a> {
     bases: BTreeSet<BaseKey>,
 }
 
-/// What answers the epochs.
+/// The estimator that answers the epochs.
 enum Estimating {
-    /// A session's estimator. The answers of this revision are given, of epochs above a number.
+    /// A session's estimator. Only answers of this revision to epochs above a number are returned.
     Session { state: Box<State>, revision: u32, above: Option<u64> },
     /// An estimator of all epochs at once.
     Whole(Box<WholeSession>),
 }
 
 impl<'a> Rerun<'a> {
-    /// Opens a session for computing what was planned.
+    /// Opens a session to compute what was planned.
     ///
     /// # Errors
     /// The tenant no longer has the session, a base no longer exists, or the store fails.
@@ -135,7 +135,7 @@ impl<'a> Rerun<'a> {
         })
     }
 
-    /// Takes the epochs of the base from a file.
+    /// From now on, takes the epochs of the base from a file.
     pub fn follow(&mut self, base: BaseRecording<'a>) {
         self.base = Some(base);
     }
@@ -164,13 +164,13 @@ impl<'a> Rerun<'a> {
         self.replay.aiding.navigation.current().navigation.leap_seconds
     }
 
-    /// Number of the last epoch that was removed by the session's retention since the plan, if any
-    /// was.
+    /// Number of the last epoch that the session's retention has removed since the plan was made,
+    /// if there is one.
     pub const fn removed_through(&self) -> Option<u64> {
         self.removed_through
     }
 
-    /// How many of the numbers of the session's epochs are passed.
+    /// Number of the session's epoch numbers that are passed.
     pub fn passed(&self) -> u64 {
         self.passed.map_or(0, |passed| (passed + 1).saturating_sub(self.numbers.0))
     }
@@ -181,7 +181,7 @@ impl<'a> Rerun<'a> {
         Some((step.epoch.time, &step.navigation.navigation))
     }
 
-    /// Reads epochs, if none is left to position. Returns whether there are any.
+    /// Reads epochs, if all read ones are positioned. Returns whether there are any.
     ///
     /// # Errors
     /// The session is deleted, data with which it was answered are no longer stored, or the store
@@ -190,7 +190,7 @@ impl<'a> Rerun<'a> {
         while self.steps.as_slice().is_empty() {
             let (key, before) = (self.replay.key, self.after);
             let mut stored = self.replay.store.epochs_after(key, before, PAGE).await?;
-            // Of a session that is deleted meanwhile, some epochs are missing.
+            // If the session is deleted meanwhile, some epochs are missing.
             let row = session(&self.replay.store, &self.replay.tenant, &self.id).await?;
             if before < row.removed_through {
                 self.removed_through = row.removed_through.min(Some(self.numbers.1));
@@ -214,8 +214,8 @@ impl<'a> Rerun<'a> {
             && to.is_none_or(|to| time <= to)
     }
 
-    /// Positions the next epoch that is read. Appends the answers that are due. Returns false if
-    /// there was none.
+    /// Positions the next epoch that is read, and appends the answers that are due. Returns false
+    /// if no epoch was left.
     ///
     /// # Errors
     /// The file of the base cannot be read.
@@ -244,8 +244,8 @@ impl<'a> Rerun<'a> {
         Ok(true)
     }
 
-    /// What [`Self::resume`] needs to go on after the last epoch: its number and the state of the
-    /// estimator. `None` before the first one, and if all answers come at the end.
+    /// The number of the last epoch and the state of the estimator, from which [`Self::resume`]
+    /// continues. `None` before the first epoch, and if all answers come at the end.
     pub fn checkpoint(&self) -> Option<Vec<u8>> {
         let Estimating::Session { state, .. } = &self.estimating else { return None };
         let (seq, content) = state.unsealed(Vec::new())?;
@@ -256,9 +256,9 @@ impl<'a> Rerun<'a> {
         Some(writer.finish())
     }
 
-    /// Goes on after a checkpoint of the same plan, with the same bits. The epochs before it are
-    /// read again, and have no answers. Call it before the first epoch. The result within says
-    /// whether this program can read it.
+    /// Continues after a checkpoint of the same plan, with the same bits. The epochs before the
+    /// checkpoint are read again, but get no answers. Call it before the first epoch. The inner
+    /// result says whether this program can read the checkpoint.
     ///
     /// # Errors
     /// The options of its state are no longer stored, or the store fails.
@@ -301,7 +301,7 @@ fn read_checkpoint(checkpoint: &[u8]) -> Result<(u64, String, &[u8]), SnapshotEr
     Ok((seq, hash, content))
 }
 
-/// The solutions of a revision, of epochs above a number.
+/// The solutions of one revision, of epochs above a number.
 fn those_of(
     answers: impl IntoIterator<Item = StoredSolution>,
     revision: u32,

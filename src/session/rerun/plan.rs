@@ -1,4 +1,4 @@
-//! What of a session is positioned again, and with which options.
+//! Which epochs of a session are positioned again, and with which options.
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseChoice, BaseId};
@@ -23,20 +23,20 @@ pub struct RerunRequest {
     pub answer: AnswerKind,
 }
 
-/// What a request means for the session as it is.
+/// The epochs and options that result from a request, for the session as it is now.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RerunPlan {
     /// Numbers of the first and the last epoch.
     pub numbers: (u64, u64),
     /// The options in force.
     pub options: PositioningOptions,
-    /// The request changes nothing of the session: each epoch is positioned with the options and
-    /// base epochs with which it was answered.
+    /// Whether the request changes nothing: each epoch is positioned with the options and base
+    /// epochs with which it was answered.
     pub is_as_answered: bool,
 }
 
 impl RerunRequest {
-    /// What it means for a session of a tenant, as the session is now.
+    /// The plan of this request for a session of a tenant, as the session is now.
     ///
     /// # Errors
     /// The tenant has no session with this id, an option or base does not exist, the mode needs a
@@ -68,8 +68,8 @@ impl RerunRequest {
         })
     }
 
-    /// The mode: that of the request, else the session's. With a base for a session that has none
-    /// it is the best one relative to a base.
+    /// The mode: that of the request, otherwise the session's. If the request adds a base to a
+    /// session without one, it is the best mode relative to a base.
     fn mode(&self, of_session: Mode) -> Option<String> {
         let has_base = self.has_base_file || !self.change.base.is_none();
         match &self.change.mode {
@@ -80,8 +80,8 @@ impl RerunRequest {
         }
     }
 
-    /// The bases whose stored epochs are used: those of the request, else the session's, else the
-    /// nearest one.
+    /// The bases whose stored epochs are used: those of the request, otherwise the session's,
+    /// otherwise the nearest one.
     pub(super) fn bases(
         &self,
         aiding: &AidingDesk,

@@ -35,8 +35,8 @@ impl WholeSession {
         }
     }
 
-    /// Takes an epoch. Returns the answers of the epochs before it, if an arc ends there or the
-    /// base's antenna has another calibration from here on.
+    /// Adds an epoch. Returns the answers of the epochs before it, if it begins a new arc, or if
+    /// the base's antenna has another calibration from this epoch on.
     pub(super) fn push(&mut self, step: Step) -> Vec<Solution> {
         let begins_arc = self.last.is_some_and(|last| step.is_first_after(last, &self.arcs));
         let mut ended = if begins_arc { self.end_arc() } else { Vec::new() };
@@ -67,7 +67,7 @@ impl WholeSession {
         self.selection.base
     }
 
-    /// The answers of the arc so far; another one begins.
+    /// Ends the arc, and returns its answers. The next epoch begins another arc.
     pub(super) fn end_arc(&mut self) -> Vec<Solution> {
         let next = Batch::new((*self.configuration.options).clone());
         self.selection = BaseSelection::default();

@@ -1,13 +1,14 @@
-//! Who uses the solver pool next.
+//! The order in which work uses the solver pool.
 //!
-//! Work waits in a lane. Each lane has a share of the pool while others wait, too; within a lane,
-//! tenants take turns, and the work of a tenant is served in order. A session has one piece of
-//! work at a time and returns behind the others of its tenant after each quantum, so sessions take
-//! turns.
+//! Work waits in a lane. Each lane has a share of the pool while others wait, too. Within a lane,
+//! tenants take turns, and the work of a tenant is served in order. A session has at most one
+//! quantum of work in the queue. After each quantum it returns behind the other sessions of its
+//! tenant, so sessions take turns.
 //!
-//! The lane whose time on the pool, divided by its share, is the least comes next (stride
+//! The next lane is the one with the least time on the pool, divided by its share (stride
 //! scheduling: Waldspurger and Weihl, 1995, *Stride Scheduling: Deterministic Proportional-Share
-//! Resource Management*). A lane that has been empty begins at the present virtual time, so it has
+//! Resource Management*). A lane that has been empty begins at the present virtual time, so it
+//! gains nothing from the time before.
 //! no claim to the time before.
 
 use std::collections::{HashMap, VecDeque};
@@ -21,12 +22,12 @@ use tokio::sync::oneshot;
 use crate::session::panics::caught;
 use crate::tenant::Tenant;
 
-/// What work is for.
+/// The purpose of work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::session) enum Lane {
     /// New epochs of sessions.
     RealTime,
-    /// The state of sessions that are not in memory.
+    /// Restoring the state of sessions that are not in memory.
     Restore,
     /// Computations that are not stored.
     OnDemand,
@@ -39,48 +40,48 @@ const SHARES: [f64; 4] = [8.0, 4.0, 1.0, 1.0];
 /// All lanes.
 const LANES: [Lane; 4] = [Lane::RealTime, Lane::Restore, Lane::OnDemand, Lane::Batch];
 
-/// The threads of a pool. All clones share them.
+/// The threads of a pool, and the lanes that share them. All clones share both.
 #[derive(Clone)]
 pub(super) struct Lanes(Arc<Mutex<Queues>>);
 
 struct Queues {
-    /// Number of threads that do nothing.
+    /// Number of idle threads.
     free: usize,
     queues: [Queue; 4],
-    /// Virtual time: that of the lane that was served last (s).
+    /// Virtual time: the largest `used_s` at which a lane was served (s).
     now_s: f64,
 }
 
 #[derive(Default)]
 struct Queue {
-    /// The work of each tenant whose work waits.
+    /// The waiting work of each tenant that has any.
     waiting: HashMap<Tenant, VecDeque<Waiting>>,
     /// These tenants, in the order in which they are served.
     order: VecDeque<Tenant>,
-    /// Number of threads that work for this lane, and may.
+    /// Number of threads that work for this lane. `most` is its limit.
     running: usize,
     most: usize,
     /// Time on the pool, divided by the share (s).
     used_s: f64,
 }
 
-/// What waits for a thread.
+/// An entry that waits for a thread.
 enum Waiting {
-    /// Who computes on a thread of his own.
+    /// A caller that computes on its own thread.
     Turn(oneshot::Sender<Turn>),
     /// Work for a thread of the pool.
     Work(Box<dyn Work>),
 }
 
-/// Work that some task waits for.
+/// Work whose caller waits for its result.
 trait Work: Send {
-    /// Whether nobody waits for it any more.
+    /// Whether its caller no longer waits.
     fn is_left(&self) -> bool;
 
-    /// The runtime on whose blocking threads it is done.
+    /// The runtime whose blocking threads do it.
     fn runtime(&self) -> Handle;
 
-    /// Does it, and tells who waits.
+    /// Does the work, and sends the result to its caller.
     fn compute(self: Box<Self>);
 }
 
@@ -100,7 +101,7 @@ impl<T: Send, F: FnOnce() -> T + Send> Work for Awaited<T, F> {
     }
 
     fn compute(self: Box<Self>) {
-        // Err: who waited has gone.
+        // Err: the caller has gone.
         self.done.send(caught(self.work)).ok();
     }
 }
@@ -119,13 +120,13 @@ pub(super) struct Turn {
     lanes: Lanes,
     lane: Lane,
     begun: Instant,
-    /// Whether its end lets the next one begin.
+    /// Whether its end begins the next work.
     serves_next: bool,
 }
 
 impl Lanes {
-    /// A pool of `threads` threads. Computations on request leave one of them to others, and so do
-    /// batch jobs.
+    /// A pool of `threads` threads. Computations on request leave one of the threads to other
+    /// lanes, and so do batch jobs.
     pub(super) fn new(threads: usize) -> Self {
         let fewer = threads.saturating_sub(1).max(1);
         let most = [threads, threads, fewer, fewer];
@@ -140,8 +141,8 @@ impl Lanes {
         granted.await.expect("a turn that waits is granted")
     }
 
-    /// Does `work` on a blocking thread, in its turn. Returns what it returns, or the message of
-    /// its panic; `None` if the runtime ends before.
+    /// Does `work` on a blocking thread, in its turn. Returns its result, or the message of its
+    /// panic; `None` if the runtime ends before.
     pub(super) async fn run<T: Send + 'static>(
         &self,
         lane: Lane,
@@ -164,22 +165,22 @@ impl Lanes {
         self.queues().queues.iter().any(|queue| !queue.order.is_empty())
     }
 
-    /// Grants turns and begins work while there are threads.
+    /// Grants turns and begins work while threads are free.
     fn serve(&self) {
         while let Some((turn, work)) = self.next_work() {
             work.runtime().spawn_blocking(move || turn.work(work));
         }
     }
 
-    /// The next work for a thread of the pool, with its turn. Those who wait for a turn before it
-    /// have theirs. `None` if nothing waits, or no thread is free.
+    /// The next work for a thread of the pool, with its turn. Callers that wait for a turn before
+    /// it get their turns. `None` if nothing waits, or no thread is free.
     fn next_work(&self) -> Option<(Turn, Box<dyn Work>)> {
         loop {
             let (lane, waiting) = self.queues().next()?;
             let (lanes, begun, serves_next) = (self.clone(), Instant::now(), true);
             let turn = Turn { lanes, lane, begun, serves_next };
             match waiting {
-                // Err: who waited has gone; dropping the turn returns the thread.
+                // Err: the caller has gone; dropping the turn returns the thread.
                 Waiting::Turn(granted) => drop(granted.send(turn)),
                 Waiting::Work(work) => return Some((turn, work)),
             }
@@ -192,7 +193,7 @@ impl Lanes {
 }
 
 impl Queue {
-    /// Adds work of a tenant. One whose work does not wait yet is served last.
+    /// Adds work of a tenant. A tenant without waiting work is served last.
     fn add(&mut self, tenant: Tenant, work: Waiting) {
         match self.waiting.get_mut(&tenant) {
             Some(own) => own.push_back(work),
@@ -203,7 +204,7 @@ impl Queue {
         }
     }
 
-    /// Takes the next work, of the tenant that has waited longest for its turn.
+    /// Takes the next work: the first of the tenant that has waited longest for its turn.
     fn take(&mut self) -> Option<Waiting> {
         let tenant = self.order.pop_front()?;
         let own = self.waiting.get_mut(&tenant)?;
@@ -216,7 +217,7 @@ impl Queue {
         work
     }
 
-    /// Removes work whose caller has gone, until the next work is one that is waited for.
+    /// Removes work whose caller has gone from the front, until a caller waits for the next work.
     fn drop_left(&mut self) {
         while let Some(tenant) = self.order.front() {
             let Some(own) = self.waiting.get_mut(tenant) else { return };
@@ -242,7 +243,7 @@ impl Queues {
         queue.add(tenant, waiting);
     }
 
-    /// The work that comes next, if there is a thread for it.
+    /// The next work, if a thread is free for it.
     fn next(&mut self) -> Option<(Lane, Waiting)> {
         self.queues.iter_mut().for_each(Queue::drop_left);
         if self.free == 0 {
@@ -276,8 +277,8 @@ impl fmt::Debug for Turn {
 }
 
 impl Turn {
-    /// Does work, and on the same thread what comes after it: to wake another thread for that would
-    /// take some of its time.
+    /// Does work, and then the next work on the same thread, because it takes time to wake another
+    /// thread.
     fn work(self, work: Box<dyn Work>) {
         let mut next = Some((self, work));
         while let Some((turn, work)) = next {
@@ -288,7 +289,7 @@ impl Turn {
         }
     }
 
-    /// Returns the thread to who then asks for the next work.
+    /// Returns the thread. The caller then asks for the next work itself.
     fn end(mut self) {
         self.serves_next = false;
     }
@@ -322,7 +323,7 @@ mod tests {
         Tenant::operator()
     }
 
-    /// Lets work of all lanes wait all the time; returns how many of `turns` each had.
+    /// Keeps work waiting in all lanes; returns how many of `turns` each lane had.
     fn served(lanes: &Lanes, turns: usize) -> [usize; 4] {
         let mut waiting: Vec<_> =
             LANES.iter().map(|lane| Box::pin(lanes.turn(*lane, own()))).collect();
@@ -398,7 +399,7 @@ mod tests {
         assert!(now(lanes.turn(Lane::RealTime, own())).is_some());
     }
 
-    /// Whoever has more work does not have more turns.
+    /// A tenant with more work does not get more turns.
     #[test]
     fn tenants_take_turns() {
         let lanes = Lanes::new(1);

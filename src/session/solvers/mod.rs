@@ -23,27 +23,28 @@ pub(super) use lanes::Lane;
 use lanes::{Lanes, Turn};
 use newest::{Admitted, Newest};
 
-/// A quantum ends after this time, or after this number of steps if others wait.
+/// A quantum ends after this time, or after `QUANTUM_STEPS` steps if other work waits.
 const QUANTUM: Duration = Duration::from_millis(10);
 const QUANTUM_STEPS: usize = 16;
-/// Interval at which a job looks whether its tenant may compute again; quotas may change meanwhile.
+/// Interval at which a waiting job checks whether its tenant may compute again. Quotas may change.
 const QUOTA_LOOK: Duration = Duration::from_secs(1);
-/// Sessions that are restored at the same time.
+/// Sessions that are restored at the same time, for each thread.
 const RESTORES_PER_THREAD: usize = 4;
 /// Memory of all streams of receivers that are restored at the same time (bytes). A CRINEX or gzip
 /// stream has up to 16 MB, the others 128 kB.
 const STREAM_MEMORY_BYTES: usize = 48 << 20;
-/// Copies of the stored bytes while a stream is restored: the rows, the whole, the decoder's.
+/// Copies of the stored bytes while a stream is restored: the rows, all bytes joined, the
+/// decoder's.
 const STREAM_COPIES: u64 = 3;
-/// States that are stored at the same time when the service stops: those of three transactions.
+/// States that are stored at the same time when the service stops. They fill three transactions.
 const STATES_STORED: usize = 512;
 /// Most spare states, and buffers of encoded ones, that are kept.
 const SPARE_STATES: usize = 64;
 /// Longest buffer that is kept (bytes).
 const SPARE_BUFFER_BYTES: usize = 256 << 10;
 
-/// A bounded number of threads for estimation, which lanes share. A handle works for one tenant, on
-/// whose meter its time is counted.
+/// A bounded number of threads for estimation, which lanes share. A handle works for one tenant and
+/// counts its time on the tenant's meter.
 #[derive(Clone)]
 pub(super) struct Solvers {
     lanes: Lanes,
@@ -51,7 +52,7 @@ pub(super) struct Solvers {
     memory: MemoryPool,
     threads: usize,
     restores: Newest,
-    /// Kilobytes that streams which are restored may use.
+    /// Kilobytes that the restoring of streams may use.
     stream_memory: Arc<Semaphore>,
     /// States that are being encoded and stored.
     storing: Arc<Semaphore>,
@@ -60,7 +61,7 @@ pub(super) struct Solvers {
 /// Time after which a batch job ends its turn.
 pub const BATCH_QUANTUM: Duration = QUANTUM;
 
-/// The part of the pool that batch jobs have.
+/// The lane of batch jobs in the pool.
 #[derive(Clone)]
 pub struct BatchLane {
     lanes: Lanes,
@@ -77,14 +78,14 @@ pub struct BatchTurn {
 }
 
 impl BatchLane {
-    /// The pool of a process without sessions, where this number of jobs computes at a time.
+    /// The pool of a process without sessions, in which this number of jobs compute at a time.
     pub fn alone(jobs: usize, meters: Meters) -> Self {
-        // A pool leaves one thread to sessions.
+        // The lane of batch jobs leaves one thread of a pool to sessions, so one more is needed.
         Self { lanes: Lanes::new(jobs + 1), meters }
     }
 
-    /// Waits for a turn of a tenant, which has none while it has used its processor time. The turn
-    /// should end after [`BATCH_QUANTUM`].
+    /// Waits for a turn of a tenant. A tenant that has used its processor time gets none until its
+    /// quota allows more. The turn should end after [`BATCH_QUANTUM`].
     pub async fn turn(&self, tenant: &Tenant) -> BatchTurn {
         let meter = self.meters.of(tenant);
         loop {
@@ -105,14 +106,14 @@ impl Drop for BatchTurn {
     }
 }
 
-/// Whether steps are left after one.
+/// Whether steps are left after a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Progress {
     Remaining,
     Done,
 }
 
-/// Memory that all sessions share, so that a session at rest needs its state only.
+/// Memory that all sessions share, so that an idle session needs only its state.
 #[derive(Clone, Default)]
 pub(super) struct MemoryPool {
     shared: Arc<Mutex<Shared>>,
@@ -121,9 +122,9 @@ pub(super) struct MemoryPool {
 #[derive(Default)]
 struct Shared {
     states: Vec<State>,
-    /// Of encoded states.
+    /// Buffers of encoded states.
     buffers: Vec<Vec<u8>>,
-    /// One for each estimation that has run at the same time.
+    /// Scratches: as many as estimations have run at the same time.
     scratches: Vec<Box<Scratch>>,
 }
 
@@ -154,20 +155,20 @@ impl Solvers {
         self.threads
     }
 
-    /// Waits until a session may be restored: as many at a time as keep the pool busy while others
-    /// read the store.
+    /// Waits until a session may be restored. The limit is high enough to keep the pool busy while
+    /// other sessions read the store.
     pub(super) async fn admitted_restore(&self) -> Admitted {
         self.restores.admitted().await
     }
 
-    /// Waits until a state may be stored: as many at a time as fill some transactions.
+    /// Waits until a state may be stored. The limit is as many states as fill some transactions.
     pub(super) async fn admitted_storing(&self) -> OwnedSemaphorePermit {
         let permit = self.storing.clone().acquire_owned().await;
         permit.expect("the semaphore is never closed")
     }
 
-    /// Waits until the memory is free that a stream of so many stored bytes needs while it is
-    /// restored. A stream that needs more than there is waits for all of it.
+    /// Waits until the memory is free that a stream of `stored_bytes` needs while it is restored. A
+    /// stream that needs more than the limit waits for all of the memory.
     pub(super) async fn admitted_stream(&self, stored_bytes: u64) -> OwnedSemaphorePermit {
         let bytes = stored_bytes.saturating_mul(STREAM_COPIES).min(STREAM_MEMORY_BYTES as u64);
         let permits = self.stream_memory.clone().acquire_many_owned((bytes >> 10) as u32).await;
@@ -217,8 +218,8 @@ impl Solvers {
         self.run(lane, move || memory.with_scratch(work)).await
     }
 
-    /// Runs `work` on the calling thread; it returns the processor time that it has used. For work
-    /// that is shorter than passing it to a thread of the pool.
+    /// Runs `work` on the calling thread. `work` returns its result and the processor time that it
+    /// has used. This is for work that is shorter than passing it to a thread of the pool.
     ///
     /// # Errors
     /// It panicked.
@@ -232,8 +233,8 @@ impl Solvers {
         Ok(done)
     }
 
-    /// Runs the steps of `work` until `step` returns whether none is left. Others of the lane have
-    /// their turn after each quantum. Dropping the future ends the work after its present quantum.
+    /// Runs `step` on `work` until it returns [`Progress::Done`]. Other work of the lane has its
+    /// turn after each quantum. Dropping the future ends the work after its present quantum.
     ///
     /// # Errors
     /// It panicked.
@@ -281,7 +282,8 @@ impl MemoryPool {
         }
     }
 
-    /// Runs `work` with a scratch that is used by nobody else meanwhile. A panic loses the scratch.
+    /// Runs `work` with a scratch that nobody else uses meanwhile. After a panic it is not used
+    /// again.
     fn with_scratch<T>(&self, work: impl FnOnce(&mut Scratch) -> T) -> T {
         let scratch = self.shared().scratches.pop();
         let mut scratch = scratch.unwrap_or_default();
@@ -356,7 +358,7 @@ mod tests {
         drop(next.await);
     }
 
-    /// A computation of many steps lets one of a single step pass, and ends with its caller.
+    /// A computation of many steps lets a computation of one step pass, and ends when dropped.
     #[tokio::test]
     async fn long_work_lets_others_pass() {
         let solvers = Solvers::new(NonZeroUsize::MIN);

@@ -1,11 +1,11 @@
-//! Admission of a bounded number, the newest first: under overload, who has just come is served at
-//! once, instead of everybody after everybody else's patience has ended.
+//! Admission of a bounded number of callers, the newest first. Under overload the newest callers
+//! are served at once; in order of arrival, all callers would be served after their timeouts.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::oneshot;
 
-/// A bounded number of places. All clones share them.
+/// A bounded number of slots. All clones share them.
 #[derive(Clone, Debug)]
 pub(super) struct Newest(Arc<Mutex<Places>>);
 
@@ -15,7 +15,7 @@ struct Places {
     waiting: Vec<oneshot::Sender<Admitted>>,
 }
 
-/// A place. Dropping it admits the next.
+/// The right to a slot. Dropping it admits the next caller.
 #[derive(Debug)]
 pub(in crate::session) struct Admitted(Newest);
 
@@ -24,7 +24,7 @@ impl Newest {
         Self(Arc::new(Mutex::new(Places { free: places, waiting: Vec::new() })))
     }
 
-    /// Waits for a place.
+    /// Waits for a slot.
     pub(super) async fn admitted(&self) -> Admitted {
         let waiting = {
             let mut places = self.places();
@@ -39,7 +39,7 @@ impl Newest {
         waiting.await.expect("a place that is waited for is given")
     }
 
-    /// Gives a place that is free again to the newest who waits.
+    /// Gives a free slot to the caller that has waited for the shortest time.
     fn admit_next(&self) {
         loop {
             let mut places = self.places();
@@ -51,7 +51,7 @@ impl Newest {
             if newest.is_closed() {
                 continue; // Who waited has gone.
             }
-            // Err: has gone just now. Dropping the place admits the next.
+            // Err: the caller has gone just now. Dropping the slot admits the next.
             drop(newest.send(Admitted(self.clone())));
             return;
         }

@@ -20,7 +20,7 @@ pub(in crate::session) enum Message {
     /// Begins a new arc at this time (ms since 1970-01-01 UTC).
     Reset {
         unix_ms: i64,
-        /// That of the act in the audit log.
+        /// The entry of the audit log for the act.
         entry: Option<Box<AuditEntry>>,
         /// Set when the message is sent.
         permit: Option<MailboxPermit>,
@@ -29,7 +29,7 @@ pub(in crate::session) enum Message {
     /// The last message: closes the session at this time (ms since 1970-01-01 UTC).
     Close {
         unix_ms: i64,
-        /// That of the act in the audit log.
+        /// The entry of the audit log for the act.
         entry: Option<Box<AuditEntry>>,
         reply: oneshot::Sender<Result<(), SessionError>>,
     },
@@ -52,7 +52,7 @@ pub(in crate::session) struct RawSubmission {
 }
 
 impl Message {
-    /// Whether it belongs to a stream that takes nothing more.
+    /// Whether it belongs to a stream that has ended with an error.
     pub(in crate::session) fn is_broken(&self) -> bool {
         match self {
             Self::Submission(submission) => submission.reply.is_broken(),
@@ -70,7 +70,7 @@ impl Message {
         }
     }
 
-    /// Drops its span, as the mailbox has not taken it.
+    /// Drops its span, because the mailbox has not taken the message.
     pub(in crate::session) fn forget_trace(&mut self) {
         let permit = match self {
             Self::Submission(submission) => submission.permit.as_mut(),
@@ -83,7 +83,7 @@ impl Message {
         }
     }
 
-    /// Drops it, if it belongs to a stream that will not post it.
+    /// Drops a message of a stream that will not be posted.
     pub(in crate::session) fn cancel(self) {
         match self {
             Self::Submission(submission) => submission.reply.cancel(),
@@ -92,7 +92,7 @@ impl Message {
         }
     }
 
-    /// How long a push has waited.
+    /// Time that a push has waited.
     pub(in crate::session) fn waited(&self) -> Option<Duration> {
         let permit = match self {
             Self::Submission(submission) => submission.permit.as_ref(),
@@ -113,7 +113,7 @@ impl Message {
     }
 }
 
-/// What has arrived to be positioned and committed.
+/// Epochs that have arrived to be positioned and committed.
 pub(in crate::session) struct Arrived {
     pub(super) epochs: Vec<SequencedEpoch>,
     /// The raw chunk that the epochs come from.
@@ -154,7 +154,7 @@ impl MailboxPermit {
         permit.as_ref().is_some_and(|permit| permit.is_streamed)
     }
 
-    /// Takes the capacity of `epochs` epochs, if the message turns out to have more than it took.
+    /// Raises the taken capacity to `epochs` epochs, if the chunk has more than it has taken.
     pub(in crate::session) fn raise_to(&mut self, epochs: usize) {
         if let Some(more) = epochs.checked_sub(self.epochs) {
             self.of_session.fetch_add(more, Ordering::AcqRel);

@@ -45,14 +45,14 @@ pub(super) use stages::Stages;
 /// A batch takes no further push once it has this many epochs.
 const EPOCHS_PER_BATCH: usize = 1_024;
 
-/// Arcs that a session may begin. To find a time, each of them is searched.
+/// Most arcs of a session. A search for a time looks into each of them.
 const ARCS: usize = 1_000;
 
 /// The data of a session's task.
 pub(super) struct Task {
     pub(super) id: SessionId,
     pub(super) key: SessionKey,
-    /// To whom it belongs.
+    /// Tenant that owns the session.
     pub(super) tenant: Tenant,
     /// The session's device as a source of navigation data.
     pub(super) device: Arc<str>,
@@ -69,18 +69,18 @@ pub(super) struct Task {
     /// The settings have changed and must be read before the next batch.
     pub(super) outdated: Arc<AtomicBool>,
     pub(super) counters: Arc<Counters>,
-    /// Where those who watch see what is committed.
+    /// Shows committed solutions to the watches.
     pub(super) live: Arc<Live>,
     /// The stages of the batch that is being answered.
     pub(super) stages: Stages,
     pub(super) configurations: Configurations,
-    /// What is known of the session when the task begins.
+    /// What is already known of the session when the task begins.
     pub(super) known: Mutex<Option<Known>>,
-    /// Where the state is kept when the session is parked.
+    /// Keeps the state when the session is parked.
     pub(super) desk: Weak<dyn KeepsParked>,
 }
 
-/// What is known of a session when its task begins.
+/// What is already known of a session when its task begins.
 pub(in crate::session) enum Known {
     /// The state with which it was parked.
     State(Box<ParkedState>),
@@ -92,8 +92,8 @@ pub(in crate::session) enum Known {
 struct Active {
     /// The state after the last confirmed commit.
     committed: Arc<State>,
-    /// The state after a commit since then that the database has not confirmed. The store is asked
-    /// before the next batch.
+    /// The state after a later commit that the database has not confirmed. The store is asked
+    /// before the next batch whether it is valid.
     unconfirmed: Option<Arc<State>>,
     /// The configuration for the next epochs.
     configuration: Arc<ActiveConfiguration>,
@@ -111,7 +111,7 @@ impl Active {
         self.committed.last_seq()
     }
 
-    /// How its solutions are given out.
+    /// Frame and heights in which its solutions are reported.
     fn output(&self) -> OutputOptions {
         self.configuration.estimation.options.output
     }
@@ -119,7 +119,7 @@ impl Active {
 
 impl Task {
     /// Runs until the mailbox is closed and empty, or the session is closed. The epochs of clients
-    /// that disconnect are positioned and stored all the same.
+    /// that have disconnected are still positioned and stored.
     pub(super) async fn run(self, mut inbox: mpsc::Receiver<Message>) {
         let mut active = None;
         while let Some(first) = inbox.recv().await {
@@ -130,7 +130,7 @@ impl Task {
                     self.counters.record(Stage::Waiting, waited);
                 }
                 match message {
-                    // Dropped: the stream has ended with the error before it.
+                    // Dropped, because its stream has ended with an earlier error.
                     message if message.is_broken() => {}
                     Message::Submission(submission) => {
                         epochs += submission.epochs.len();
@@ -161,7 +161,7 @@ impl Task {
                     reply.send(answer).ok(); // Err: the client hung up.
                 }
                 Some(Message::Close { unix_ms, entry, reply }) => {
-                    // Err: the caller has gone; the session is closed all the same.
+                    // Err: the caller has gone; the session is closed anyway.
                     reply.send(self.close(&mut active, unix_ms, entry).await).ok();
                     return;
                 }
@@ -171,7 +171,7 @@ impl Task {
         self.park(active).await;
     }
 
-    /// Stores the last revisions of the epochs in the window, and that a new arc begins.
+    /// Stores the last revisions of the epochs in the window, and the beginning of a new arc.
     async fn reset(
         &self,
         active: &mut Option<Active>,
@@ -197,7 +197,7 @@ impl Task {
         let batch = self.batch(Some(after_seq));
         let batch = Batch { revisions, snapshot, keeps_snapshot, arc, entry, ..batch };
         let stored = self.store.commit(batch).await;
-        // An arc is not seen in the last number, so an unconfirmed one is read from the store.
+        // The last number does not show an arc, so an unconfirmed one is read from the store.
         stored.inspect_err(|_| *active = None)?;
         self.live.publish(self.key, &revised);
         if let Some(current) = active {
@@ -208,7 +208,7 @@ impl Task {
         Ok(())
     }
 
-    /// Stores the last revisions of the epochs in the window, and that the session is closed.
+    /// Stores the last revisions of the epochs in the window, and the end of the session.
     async fn close(
         &self,
         active: &mut Option<Active>,
@@ -360,7 +360,7 @@ impl Task {
         }
     }
 
-    /// The session in memory with its present configuration; restored if it was not in memory.
+    /// The session in memory with its present configuration. It is restored if necessary.
     async fn activate<'a>(
         &self,
         active: &'a mut Option<Active>,
@@ -370,10 +370,10 @@ impl Task {
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if is_outdated || active.is_none() {
             let row = row.filter(|_| !is_outdated);
-            // Nobody else writes its epochs between the read of the row and this task.
+            // Between the read of the row and this task, nobody else writes epochs of the session.
             let is_new = row.as_ref().is_some_and(|row| row.last_seq.is_none());
             let read = self.active_configuration(row).await;
-            // Read again by the next batch.
+            // After a failure the next batch reads the configuration again.
             let failed = |_: &SessionError| self.outdated.store(true, Ordering::Release);
             let configuration = Arc::new(read.inspect_err(failed)?);
             if configuration.is_closed {
@@ -439,7 +439,7 @@ impl Task {
         Ok(Earlier { stored, removed_through })
     }
 
-    /// The options and bases in force, by the session's row.
+    /// The options and bases in force, according to the session's row.
     async fn active_configuration(
         &self,
         row: Option<Box<SessionRow>>,
@@ -456,16 +456,16 @@ impl Task {
     }
 }
 
-/// What the store has of epochs that are sent again.
+/// Stored data about epochs that were sent again.
 #[derive(Default)]
 struct Earlier {
     stored: HashMap<u64, StoredEpoch>,
-    /// Number through which epochs are removed, if one of them is not stored.
+    /// Number of the last removed epoch, if one of the asked epochs is not stored.
     removed_through: Option<u64>,
 }
 
-/// Keeps what is known of a session after a commit failed: the state before it, and that after it
-/// if the store may have it.
+/// Updates the session in memory after a failed commit. It keeps the state before the commit, and
+/// the state after it if the store may have it.
 fn failed(active: &mut Option<Active>, later: Arc<State>, error: StoreError) -> StoreError {
     match (&error, active.as_mut()) {
         (StoreError::AlreadyStored, _) => *active = None, // Another writer has later epochs.

@@ -1,9 +1,9 @@
-//! Snapshots of a session's state, and how its task ends and begins: parked and restored.
+//! Snapshots of a session's state, and the end and beginning of its task: parking and restoring.
 //!
-//! A state is stored after so many epochs, or so much computing, that a restart of the service has
-//! little to repeat: with many sessions in memory each may repeat less. A session that is parked
-//! leaves its encoded state to the desk, which gives it to the next task. If the desk has dropped
-//! it, the state is restored from the store.
+//! A state is stored after a number of epochs or an amount of computing. So a restart of the
+//! service has little to repeat; the more sessions are in memory, the less each may repeat. A
+//! session that is parked leaves its encoded state to the desk, which gives it to the next task. If
+//! the desk has dropped it, the state is restored from the store.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, PoisonError};
@@ -24,17 +24,18 @@ use crate::store::{Batch, SessionRow, StoreError};
 
 use super::{Active, Known, Task};
 
-/// After a restart, the sessions that were in memory repeat this much computing on each thread.
+/// After a restart, the sessions that were in memory repeat this much computing, on each thread.
 const RESTART: Duration = Duration::from_secs(6);
-/// Bounds of what one session repeats: less is not worth storing, more would be felt.
+/// Bounds of the computing that one session repeats. Less is not worth storing a state for; more
+/// would be a noticeable delay.
 const REPLAY_LEAST: Duration = WORTH_STORING;
 const REPLAY_MOST: Duration = Duration::from_millis(50);
-/// A state that leaves the memory is stored if to repeat its epochs takes longer: about what it
-/// costs to store and to read it again (benches/recovery).
+/// A state that leaves the memory is stored if repeating its epochs takes longer than this. It is
+/// about the cost of storing and reading the state (benches/recovery).
 const WORTH_STORING: Duration = Duration::from_millis(1);
-/// Parked states up to this length are decoded by the session's task (bytes), and those of windows
-/// up to this number of epochs encoded: that takes some 0.1 ms, and a change of threads is dearer
-/// than most of them.
+/// The session's task itself decodes parked states up to this length (bytes), and encodes those of
+/// windows up to `ENCODED_HERE` epochs. This takes some 0.1 ms, and for most of them a change of
+/// threads would cost more.
 const DECODED_HERE: usize = 256 << 10;
 const ENCODED_HERE: usize = 64;
 
@@ -70,8 +71,8 @@ impl Task {
         }
     }
 
-    /// Computing of a session that a restart may repeat. Sessions differ by up to half of it, so
-    /// that those which began together are not stored together.
+    /// Computing of this session that a restart may repeat. The limits of sessions differ by up to
+    /// half, so that sessions which began together do not store their states together.
     fn replay_max(&self) -> Duration {
         let sessions = self.counters.in_memory().max(1);
         let threads = self.solvers.threads();
@@ -82,8 +83,8 @@ impl Task {
         share.clamp(REPLAY_LEAST, REPLAY_MOST).mul_f64(0.5 + fraction)
     }
 
-    /// Ends the task. It leaves the state to the desk, and stores those that make room for it; if
-    /// no session starts any more, it stores its own.
+    /// Ends the task. It leaves the state to the desk, and stores the states that the desk drops to
+    /// make room. If the desk is stopping, it stores its own state instead.
     pub(super) async fn park(&self, active: Option<Active>) {
         let active = active.filter(|active| active.unconfirmed.is_none());
         let desk = self.desk.upgrade();
@@ -104,7 +105,7 @@ impl Task {
         }
     }
 
-    /// The state of a session that is parked. A short one is encoded here.
+    /// The encoded state of a session that is parked. A short window is encoded on this thread.
     async fn encoded(&self, active: Active) -> Option<ParkedState> {
         let Active { committed, configuration, epoch_time, .. } = active;
         let (key, tenant) = (self.key, self.tenant.clone());
@@ -118,7 +119,8 @@ impl Task {
         }
     }
 
-    /// Stores the state before the service stops, if that takes less than to repeat the epochs.
+    /// Stores the state before the service stops, if storing it is quicker than repeating the
+    /// epochs.
     async fn store_at_stop(&self, active: Active) {
         if active.committed.unsaved_time < WORTH_STORING {
             return;
@@ -132,7 +134,8 @@ impl Task {
         self.store_state(batch).await;
     }
 
-    /// Stores a parked state that leaves the memory, if that takes less than to repeat the epochs.
+    /// Stores a parked state that leaves the memory, if storing is quicker than repeating the
+    /// epochs.
     async fn store_dropped(&self, state: ParkedState) {
         if state.unsaved_time() < WORTH_STORING {
             return;
@@ -145,7 +148,7 @@ impl Task {
 
     async fn store_state(&self, batch: Batch) {
         match self.store.commit(batch).await {
-            // The session has gone on meanwhile.
+            // Ok; or the session has committed further epochs meanwhile.
             Ok(()) | Err(StoreError::AlreadyStored) => {}
             // Nothing is lost, because the epochs are replayed.
             Err(error) => {
@@ -154,7 +157,8 @@ impl Task {
         }
     }
 
-    /// Takes what is known of the session when the task begins: its parked state, or its row.
+    /// Takes what is already known of the session when the task begins: its parked state or its
+    /// row.
     pub(super) async fn begin(&self, active: &mut Option<Active>) -> Option<Box<SessionRow>> {
         let known = self.known.lock().unwrap_or_else(PoisonError::into_inner).take();
         match known.filter(|_| active.is_none())? {
@@ -166,7 +170,7 @@ impl Task {
         }
     }
 
-    /// The session with the state with which it was parked.
+    /// The session in memory, from the state with which it was parked.
     async fn unparked(&self, parked: ParkedState) -> Option<Active> {
         let (configuration, epoch_time) = (parked.configuration().clone(), parked.epoch_time);
         let decoded = match parked.length() <= DECODED_HERE {
@@ -199,7 +203,7 @@ impl Task {
         &self,
         configuration: &ActiveConfiguration,
     ) -> Result<State, SessionError> {
-        // Few at a time, so that the first are ready long before the last.
+        // Only few at a time, so that the first sessions are ready long before the last.
         let _admitted = self.solvers.admitted_restore().await;
         let stored = self.store.stored_state(self.key, PAGE).await?;
         let arcs = match stored.has_arcs {

@@ -17,13 +17,13 @@ use crate::traces::Work;
 
 use super::{Active, Task};
 
-/// Batches up to this expected time are positioned by the session's task. A thread of the pool
-/// costs two changes between threads, some 20 µs of processor time.
+/// Batches up to this expected time are positioned by the session's task itself. Using a thread of
+/// the pool costs two changes of threads, some 20 µs of processor time.
 const HERE_MAX: Duration = Duration::from_micros(500);
 
 impl Task {
-    /// Positions a batch, starting from a copy of the committed state: where it stands if that is
-    /// expected to be short, otherwise on the solver pool.
+    /// Positions a batch, starting from a copy of the committed state. It runs on this thread if it
+    /// is expected to be short, otherwise on the solver pool.
     pub(super) async fn position(
         &self,
         current: &mut Active,
@@ -49,7 +49,7 @@ impl Task {
         self.counters.record(Stage::Solving, done.used);
         self.stages.note(Work::Solve, begun);
         let each = done.used / count.max(1);
-        // Follows a rise at once, and a fall slowly.
+        // The estimate follows a longer time at once, and a shorter one slowly.
         *epoch_time = Some(epoch_time.map_or(each, |before| each.max(before * 7 / 8)));
         Ok(done.batch().expect("work that is done has a batch"))
     }
@@ -80,7 +80,7 @@ struct Positioning {
     used: Duration,
 }
 
-/// What is positioned so far.
+/// The result so far.
 enum Positioned {
     /// Nothing. The first step copies the committed state, so that no network thread does.
     Nothing { committed: Arc<State>, memory: MemoryPool },
@@ -101,8 +101,8 @@ impl Positioning {
         (self, used)
     }
 
-    /// Positions the next epochs, at most `count`. Their time is measured together, because to read
-    /// the clock of a thread twice takes a tenth of the time of a short epoch.
+    /// Positions the next epochs, at most `count`. Their time is measured together, because two
+    /// reads of a thread's clock take a tenth of the time of a short epoch.
     fn advance(&mut self, count: usize, scratch: &mut Scratch) -> Progress {
         let stopwatch = Stopwatch::started();
         if let Positioned::Nothing { committed, memory } = &self.progress {

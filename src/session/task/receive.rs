@@ -11,16 +11,16 @@ use crate::store::{RawChange, RawPosition, StoredEpoch};
 
 use super::{Active, Arrived, MailboxPermit, Task};
 
-/// Chunks of frames up to this length are decoded where they stand (bytes): that takes some 50 µs.
+/// Chunks of frames up to this length are decoded on this thread (bytes), which takes some 50 µs.
 const SHORT_BYTES: usize = 16 << 10;
 
 /// A chunk with new bytes.
 struct Chunk<'a> {
     reception: Box<Reception>,
     chunk: RawChunk,
-    /// Number of bytes at its beginning that are stored already.
+    /// Number of bytes at its beginning that are already stored.
     known: usize,
-    /// Its place in the mailbox, which it keeps until it is answered.
+    /// Its permit in the mailbox, which it keeps until it is answered.
     permit: &'a mut Option<MailboxPermit>,
 }
 

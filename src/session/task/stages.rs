@@ -1,4 +1,4 @@
-//! When the stages of a batch were, for the spans of its pushes.
+//! Times of the stages of a batch, for the spans of its pushes.
 
 use std::mem;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -18,7 +18,7 @@ pub(in crate::session) struct Stages(Mutex<Option<Vec<StageTime>>>);
 type StageTime = (Work, (Instant, Instant));
 
 impl Stages {
-    /// Begins to note stages, if one of these pushes is traced.
+    /// Starts recording stages, if one of these pushes is traced.
     pub(super) fn begin<'a>(&self, pushes: impl Iterator<Item = &'a Option<MailboxPermit>>) {
         let mut pushes = pushes.flatten();
         if pushes.any(|push| push.trace.is_some()) {
@@ -26,14 +26,14 @@ impl Stages {
         }
     }
 
-    /// Notes a stage that has ended.
+    /// Records a stage that has ended.
     pub(super) fn note(&self, work: Work, begun: Instant) {
         if let Some(stages) = &mut *self.noted() {
             stages.push((work, (begun, Instant::now())));
         }
     }
 
-    /// Takes what was noted.
+    /// Takes the recorded stages.
     pub(super) fn take(&self) -> Vec<StageTime> {
         mem::take(&mut *self.noted()).unwrap_or_default()
     }
@@ -44,7 +44,7 @@ impl Stages {
 }
 
 impl MailboxPermit {
-    /// Adds to the push's span, if it has one, the stages of its batch and how it was answered.
+    /// Adds the stages of the batch and the outcome to the push's span, if the push is traced.
     pub(super) fn answered<T>(&mut self, stages: &[StageTime], answer: &Result<T, SessionError>) {
         let Some(span) = &mut self.trace else { return };
         for (work, times) in stages {
