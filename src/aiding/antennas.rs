@@ -1,4 +1,4 @@
-//! Calibrations of receivers' antennas: those of the operator's ANTEX file, and those in use.
+//! Calibrations of receivers' antennas: those of the operator's ANTEX file, and the stored ones.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ impl Antennas {
         Self { store, catalogue }
     }
 
-    /// Whether there is no ANTEX file, or none of receivers' antennas.
+    /// Whether there is no ANTEX file, or the file has no receivers' antennas.
     pub(crate) fn is_empty(&self) -> bool {
         self.catalogue.receivers.is_empty()
     }
@@ -49,7 +49,7 @@ impl Antennas {
         Ok((AntennaName::of(calibration), Arc::new(calibration.clone())))
     }
 
-    /// The stored calibration of a hash.
+    /// The stored calibration with this hash.
     ///
     /// # Errors
     /// No stored calibration has this hash, or the store fails.
@@ -68,8 +68,8 @@ impl Antennas {
         Ok(self.calibrated(site, None))
     }
 
-    /// The site with the calibration of its antenna: from the ANTEX file, else from the site
-    /// `before`, if that has the same antenna.
+    /// The site with the calibration of its antenna: from the ANTEX file, otherwise from the site
+    /// `before`, if it has the same antenna.
     pub(super) fn calibrated(&self, site: &BaseSite, before: Option<&BaseSite>) -> BaseSite {
         let same = before.filter(|before| before.antenna == site.antenna);
         let same = same.and_then(|before| before.calibration.clone());

@@ -8,13 +8,13 @@ use crate::gnss::{Ephemeris, LeapSeconds, Navigation};
 
 use super::trust::{Issue, TENANT_PREFIX, agree, contradict, issue};
 
-/// Ephemerides of one device. A receiver of all constellations decodes some 40 an hour.
+/// Most ephemerides of one device. A receiver of all constellations decodes some 40 an hour.
 const OF_DEVICE_MAX: usize = 256;
-/// Ephemerides of one tenant: those of all constellations of two days, and more.
+/// Most ephemerides of one tenant: more than those of all constellations of two days.
 const OF_TENANT_MAX: usize = 16_384;
-/// Ephemerides of all devices together.
+/// Most ephemerides of all devices together.
 const OF_ALL_MAX: usize = 100_000;
-/// Age from which the data of a device make room for those of others (ms).
+/// Age from which the data of one device may be removed to make room for others (ms).
 const LASTING_MS: i64 = 86_400_000;
 
 /// The data of all devices that no other source confirms, by source.
@@ -38,7 +38,7 @@ struct OwnData {
 pub(super) type Owned = (Arc<str>, Ephemeris);
 
 impl Devices {
-    /// What only this device has brought; nothing for most devices.
+    /// The data that only this device has sent; most devices have none.
     pub(super) fn of(&self, source: &str) -> Option<&Navigation> {
         self.devices.get(source).map(|own| &own.navigation)
     }
@@ -62,8 +62,8 @@ impl Devices {
         others.any(|(_, own)| contains_coefficients(own, coefficients))
     }
 
-    /// The ephemerides that end when `shared` begin to serve all sessions: the same issues, and
-    /// those that contradict.
+    /// The ephemerides of devices that end when `shared` begin to serve all sessions: those of the
+    /// same issues, and those that contradict `shared`.
     pub(super) fn displaced(&self, shared: &[Ephemeris]) -> Vec<Owned> {
         let mut displaced = Vec::new();
         for (source, own) in &self.devices {
@@ -79,8 +79,8 @@ impl Devices {
         displaced
     }
 
-    /// The part of what a device brings that is stored for it, and the ephemerides that make room:
-    /// its own oldest ones, and those of others that are older than a day.
+    /// The ephemerides of a device that are stored, and those that end to make room for them: its
+    /// own oldest ones, and those of others that are older than a day.
     pub(super) fn accept(
         &self,
         source: &Arc<str>,
@@ -121,7 +121,7 @@ impl Devices {
         old.filter_map(owned).take(count).collect()
     }
 
-    /// Adds what is stored of a device.
+    /// Adds a stored ephemeris of a device.
     pub(super) fn insert(&mut self, source: &Arc<str>, ephemeris: Ephemeris, stored_unix_ms: i64) {
         self.remove(source, &ephemeris);
         let issued = issue(&ephemeris);
@@ -196,8 +196,8 @@ fn most_of(source: &str) -> usize {
     if source.starts_with(TENANT_PREFIX) { OF_TENANT_MAX } else { OF_DEVICE_MAX }
 }
 
-/// What is not an ephemeris, in parts: the ionosphere coefficients of each system, and the leap
-/// seconds. `None` for a part that is missing.
+/// The parts of navigation data besides the ephemerides: the ionosphere coefficients of each
+/// system, and the leap seconds. A missing part is `None`.
 pub(super) fn coefficients(navigation: &Navigation) -> [Option<Navigation>; 5] {
     let mut kinds: [Navigation; 5] = Default::default();
     kinds[0].klobuchar_gps = navigation.klobuchar_gps;
@@ -208,13 +208,13 @@ pub(super) fn coefficients(navigation: &Navigation) -> [Option<Navigation>; 5] {
     kinds.map(|kind| (kind != Navigation::default()).then_some(kind))
 }
 
-/// Whether all coefficients of `part` are those of `whole`.
+/// Whether `whole` has all coefficients of `part`, with the same values.
 pub(super) fn contains_coefficients(whole: &Navigation, part: &Navigation) -> bool {
     let (whole, part) = (coefficients(whole), coefficients(part));
     whole.iter().zip(&part).all(|(whole, part)| part.is_none() || whole == part)
 }
 
-/// Removes the coefficients and leap seconds that are those of `ended`.
+/// Removes coefficients and leap seconds that are equal to those of `ended`.
 pub(super) fn remove_coefficients(navigation: &mut Navigation, ended: &Navigation) {
     fn remove<T: PartialEq>(known: &mut Option<T>, ended: &Option<T>) {
         *known = known.take().filter(|known| Some(known) != ended.as_ref());

@@ -93,7 +93,7 @@ pub enum AidingError {
         /// Size allowed for one base (bytes).
         bytes_max: usize,
     },
-    /// Other nodes have pushed at each attempt.
+    /// At each attempt another node has pushed first.
     #[error("other nodes push navigation data all the time; this push found no turn")]
     Contended,
     /// The store failed.

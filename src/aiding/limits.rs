@@ -3,16 +3,17 @@
 /// Limits of the brokers. Together with the number of satellites they bound the memory.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AidingLimits {
-    /// Ephemerides in force per satellite. Beyond it the oldest by `toe` are dropped, but none that
-    /// came in the same push.
+    /// Ephemerides in force per satellite. Above this number, the oldest by `toe` are dropped, but
+    /// none of the same push.
     pub ephemerides_per_satellite: usize,
-    /// Superseded ephemerides that are stored for replay. Beyond it the oldest are deleted.
+    /// Superseded ephemerides that are stored for replay. Above this number, the oldest are
+    /// deleted.
     pub superseded_ephemerides: usize,
     /// Number of bases.
     pub bases: usize,
-    /// Epochs per base. Beyond it the oldest are deleted.
+    /// Epochs per base. Above this number, the oldest are deleted.
     pub epochs_per_base: usize,
-    /// Bytes of the encoded epochs of one base. Beyond it the oldest are deleted.
+    /// Bytes of the encoded epochs of one base. Above this size, the oldest are deleted.
     pub bytes_per_base: usize,
     /// Observations in one epoch of a base.
     pub observations_per_epoch: usize,

@@ -48,7 +48,7 @@ pub struct AidingDesk {
 }
 
 impl AidingDesk {
-    /// Opens the desk with what the store has, and without calibrations of antennas.
+    /// Opens the desk with the stored data, and without calibrations of antennas.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
@@ -56,8 +56,8 @@ impl AidingDesk {
         Self::open_with(store, limits, AntennaCatalogue::default()).await
     }
 
-    /// Opens the desk with what the store has and with calibrations of antennas. A base whose
-    /// antenna is among them has that calibration from its next epoch on.
+    /// Opens the desk with the stored data and with calibrations of antennas. A base whose antenna
+    /// is among them has that calibration from its next epoch on.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
@@ -79,7 +79,7 @@ impl AidingDesk {
         Ok(Self { navigation, bases, antennas, geoid: None })
     }
 
-    /// Takes over what other nodes of the cluster have stored.
+    /// Reads from the store what other nodes of the cluster have stored.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.

@@ -65,18 +65,18 @@ pub struct NavigationStatus {
 /// Source of each satellite's newest ephemeris, and when it was stored (ms since 1970-01-01 UTC).
 type Sources = BTreeMap<SatelliteId, (Arc<str>, i64)>;
 
-/// The part of the superseded ephemerides that is deleted at a time.
+/// When superseded ephemerides reach their limit, this part of them (1/16) is deleted.
 const ROOM: usize = 16;
-/// Attempts of a push to be the next one, while other nodes push, too.
+/// Attempts of a push to be the next one while other nodes also push.
 const ATTEMPTS: usize = 20;
 
-/// What pushes leave to the next one.
+/// State that a push leaves for the next one.
 #[derive(Default)]
 struct Pushing {
-    /// A push did not end well, so that it may be stored without being known here.
+    /// The last push failed. It may be stored although the memory does not contain it.
     is_unconfirmed: bool,
-    /// Ephemerides that may end before the number of superseded ones must be looked at. To look at
-    /// it, the database counts them all.
+    /// Number of ephemerides that may end before the superseded ones are counted again. The
+    /// database must read all of them to count.
     room: usize,
 }
 
@@ -110,7 +110,7 @@ impl NavigationBroker {
         PushedNavigation { push: state.push, navigation: state.shared.navigation.clone() }
     }
 
-    /// The navigation data in force now for the session of a device, which is a source of its own.
+    /// The navigation data in force now for the session of a device. A device is a source.
     pub fn current_for(&self, device: &str) -> PushedNavigation {
         self.read().pushed_for(device)
     }
@@ -128,10 +128,10 @@ impl NavigationBroker {
     }
 
     /// Adds navigation data from `source`. When it returns, the data are durable, and later calls
-    /// of [`Self::current`] contain them as far as the source is trusted: the operator's replace
-    /// others; those of an [`UPLOAD`](super::UPLOAD) and of sources that begin with `OF_BASE` are
-    /// added where they contradict and replace nothing of higher trust; those of a
-    /// [`device`](super::device) serve its own session, until another source agrees.
+    /// of [`Self::current`] contain them as far as the source is trusted. The operator's data
+    /// replace others. Data of an [`UPLOAD`](super::UPLOAD), or of a source that begins with
+    /// `OF_BASE`, are added where they contradict and replace nothing of higher trust. Data of a
+    /// [`device`](super::device) serve only its own session, until another source agrees.
     ///
     /// # Errors
     /// The push has more ephemerides of one satellite than are kept, or the store fails.
@@ -153,7 +153,7 @@ impl NavigationBroker {
         }
         let turn = self.pushing.clone().lock_owned().await;
         let (broker, source) = (self.clone(), source.into());
-        // In its own task: what is stored must become known, also if the caller has gone.
+        // In its own task: stored data must get into the memory, even if the caller has gone.
         let pushing = tokio::spawn(async move { broker.push_in_turn(turn, &pushed, source).await });
         let (new, dropped) = pushing.await.unwrap_or(Err(StoreError::Closed.into()))?;
         counts.new = new;
@@ -162,7 +162,7 @@ impl NavigationBroker {
         Ok(counts)
     }
 
-    /// Stores what is new of a push. Returns the numbers of new and of dropped ephemerides.
+    /// Stores the new data of a push. Returns the numbers of new and of dropped ephemerides.
     async fn push_in_turn(
         &self,
         mut turn: OwnedMutexGuard<Pushing>,
@@ -196,7 +196,7 @@ impl NavigationBroker {
         Err(AidingError::Contended)
     }
 
-    /// Takes over what other nodes have pushed. Returns whether that was anything.
+    /// Reads from the store what other nodes have pushed. Returns whether there was anything new.
     ///
     /// # Errors
     /// The store fails.
@@ -209,7 +209,7 @@ impl NavigationBroker {
         Ok(true)
     }
 
-    /// Takes over what is stored, after a push of which this is not known.
+    /// Replaces the data in memory by the stored ones, after a push with an unknown outcome.
     async fn read_again(&self) -> Result<(), AidingError> {
         let stored = self.store.navigation().await?;
         *self.sources.write().unwrap_or_else(PoisonError::into_inner) = sources_of(&stored);
@@ -217,8 +217,8 @@ impl NavigationBroker {
         Ok(())
     }
 
-    /// Stores a part of a push, and then takes it over. Returns `false`, and stores nothing, if
-    /// another push is stored after the last one that is known here: of another node, or one whose
+    /// Stores a part of a push, and then adds it to the data in memory. Returns `false`, and stores
+    /// nothing, if the store has a push after the last one in memory: of another node, or one whose
     /// commit was not confirmed.
     async fn commit(&self, part: Part, room: &mut usize) -> Result<bool, AidingError> {
         let stored_unix_ms = unix_ms();
@@ -253,19 +253,19 @@ impl NavigationBroker {
         Ok(true)
     }
 
-    /// The satellites with usable ephemerides, and the time that these cover.
+    /// The satellites with usable ephemerides, and the time that the ephemerides cover.
     pub fn status(&self) -> NavigationStatus {
         self.status_of(&self.current().navigation)
     }
 
-    /// The satellites of which a source alone has ephemerides in force.
+    /// The satellites for which only this source has ephemerides in force.
     pub(super) fn own_satellites(&self, source: &str) -> Vec<SatelliteId> {
         let state = self.read();
         let own = state.devices.of(source).into_iter().flat_map(Navigation::satellites);
         own.map(|(satellite, _)| satellite).collect()
     }
 
-    /// The same of data that serve a tenant.
+    /// Like [`Self::status`], for data that serve a tenant.
     pub(super) fn status_of(&self, navigation: &Navigation) -> NavigationStatus {
         let sources = self.sources.read().unwrap_or_else(PoisonError::into_inner);
         let coverage = |(satellite, list): (SatelliteId, &[Ephemeris])| {

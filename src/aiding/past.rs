@@ -1,8 +1,8 @@
 //! Past states of the navigation data, for replay.
 //!
-//! A state is made from a known one near to it, by what differs between the two: the sessions that
-//! a restart restores need many states, which differ by few ephemerides. States share the lists of
-//! the satellites that are the same. A limit bounds the memory of the others.
+//! A state is made from the nearest known one, by the difference between the two. Sessions that are
+//! restored after a restart need many states, which differ by few ephemerides. States share the
+//! lists of satellites that are the same. A limit bounds the memory of the lists that differ.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -19,26 +19,26 @@ use super::shared::Shared;
 use super::state::{PushedNavigation, State};
 use super::trust::{Trust, trust};
 
-/// Memory of what the past states do not share (bytes).
+/// Most memory of the lists that past states do not share (bytes).
 const BYTES_MAX: usize = 64 << 20;
-/// Memory of a state beside that of its lists (bytes).
+/// Memory of a state besides its lists (bytes).
 const OVERHEAD: usize = 16 << 10;
 /// Memory of an ephemeris, and that of a device's entry in its map (bytes).
 const EPHEMERIS: usize = size_of::<Ephemeris>();
 const ENTRY: usize = 128;
-/// Devices are in this many maps, so that a change of one copies few others.
+/// Number of maps into which devices are divided, so that a change of one device copies few others.
 const MAPS: usize = 64;
 
 /// The states that replay asked for recently.
 #[derive(Default)]
 pub(super) struct PastStates {
-    /// Locked while the store is read: many sessions restored at once ask for the same push.
+    /// Locked while the store is read, because many sessions restored at once need the same push.
     known: Mutex<Known>,
 }
 
 #[derive(Default)]
 struct Known {
-    /// By push, each with the memory that it does not share.
+    /// States by push, each with the memory that it does not share.
     states: BTreeMap<u64, (Arc<PastState>, usize)>,
     /// The pushes in the order in which their states were made.
     order: VecDeque<u64>,
@@ -50,12 +50,12 @@ struct Known {
 struct PastState {
     push: u64,
     shared: Shared,
-    /// What serves the session of each device alone.
+    /// The data that serve only the session of each device.
     devices: [Arc<BTreeMap<Arc<str>, Navigation>>; MAPS],
 }
 
 impl PastStates {
-    /// What served the session of a device after a push. `current` is the state now.
+    /// The data that served the session of a device after a push. `current` is the present state.
     ///
     /// # Errors
     /// Some of it is no longer stored, or the store fails.
@@ -73,7 +73,7 @@ impl PastStates {
         let nearest = known.nearest(push, current);
         let (state, bytes) = match store.navigation_difference(nearest.push, push).await? {
             Some(difference) => nearest.changed(push, difference),
-            // Too much is no longer stored of what differs.
+            // Some rows of the difference are no longer stored.
             None => {
                 let state = PastState::of(&State::of(store.navigation_after(push).await?));
                 let ephemerides = state.shared.navigation.len();
@@ -105,7 +105,7 @@ impl Known {
         }
     }
 
-    /// Adds a state. The oldest ones make room for it.
+    /// Adds a state. The oldest states are removed to make room.
     fn insert(&mut self, state: Arc<PastState>, bytes: usize) {
         let (push, bytes) = (state.push, OVERHEAD + bytes);
         if self.states.insert(push, (state, bytes)).is_none() {

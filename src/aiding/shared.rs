@@ -8,13 +8,13 @@ use crate::gnss::{Ephemeris, Navigation, SatelliteId};
 use super::devices::{coefficients, remove_coefficients};
 use super::trust::{Issue, Trust, agree, contradict, issue, trust};
 
-/// Age from which an ephemeris that is not the operator's makes room for others (ms).
+/// Age from which an ephemeris that is not the operator's may be removed to make room (ms).
 const LASTING_MS: i64 = 86_400_000;
 
 /// The data that serve all sessions.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shared {
-    /// All of them.
+    /// All ephemerides, coefficients and leap seconds.
     pub(super) navigation: Arc<Navigation>,
     /// The ephemerides that are not the operator's, by satellite. Clones share them until one
     /// changes.
@@ -23,7 +23,7 @@ pub(super) struct Shared {
     coefficients: [Option<Arc<str>>; 5],
 }
 
-/// Where an ephemeris comes from.
+/// Source and time of an ephemeris.
 #[derive(Clone, Debug)]
 struct Rank {
     source: Arc<str>,
@@ -96,13 +96,13 @@ impl Shared {
         self.rank(&issue(ephemeris)).map_or(Trust::Operator, |rank| trust(&rank.source))
     }
 
-    /// Whether an ephemeris contradicts one that is trusted as far as `least`, or further.
+    /// Whether an ephemeris contradicts one whose trust is `least` or higher.
     pub(super) fn contradicts(&self, ephemeris: &Ephemeris, least: Trust) -> bool {
         let list = self.navigation.of(ephemeris.satellite());
         list.iter().any(|other| least <= self.trust_in(other) && contradict(other, ephemeris))
     }
 
-    /// The offer of another source than `source` that `ephemeris` is a copy of.
+    /// The offer of another source than `source` with the same broadcast as `ephemeris`.
     pub(super) fn confirmed_offer(
         &self,
         ephemeris: &Ephemeris,
@@ -113,8 +113,8 @@ impl Shared {
         (trust(&rank.source) == Trust::Offer && &*rank.source != source).then_some(known)
     }
 
-    /// The ephemerides of lower trust that contradict `new`, or are of the same issue as one of
-    /// them and differ.
+    /// The ephemerides of lower trust that contradict one of `new`, or that have the same issue as
+    /// one of `new` but differ from it.
     pub(super) fn lower(&self, new: &Navigation, than: Trust) -> Vec<Ephemeris> {
         let mut found = Vec::new();
         for (satellite, list) in new.satellites() {
@@ -125,9 +125,9 @@ impl Shared {
         found
     }
 
-    /// Makes room for `new`, at most `limit` ephemerides of each satellite: takes those out that
-    /// find none. For data that are not the operator's, only others of this kind of more than a day
-    /// ago end; they are returned.
+    /// Makes room for `new`, with at most `limit` ephemerides for each satellite. Removes from
+    /// `new` those for which there is no room. Data that are not the operator's end only others of
+    /// their kind that are older than a day. Returns the ended ones.
     pub(super) fn make_room(
         &self,
         new: &mut Navigation,
@@ -158,8 +158,8 @@ impl Shared {
         ended
     }
 
-    /// The ephemerides of each satellite beyond `limit` after `pushed` is added, but none of
-    /// `pushed`: first those that are not the operator's, and of these the oldest.
+    /// The ephemerides beyond `limit` of each satellite, once `pushed` is added. None of `pushed`
+    /// is among them. Those that are not the operator's come first, the oldest of them before.
     pub(super) fn excess(&self, pushed: &Navigation, limit: usize) -> Vec<Ephemeris> {
         let mut excess = Vec::new();
         for (satellite, brought) in pushed.satellites() {
@@ -173,8 +173,9 @@ impl Shared {
         excess
     }
 
-    /// The coefficients of `brought` that are taken from `source`: of the operator all, of two
-    /// sources that agree what is not the operator's, of others the kinds that nobody has brought.
+    /// The coefficients of `brought` that are accepted from `source`. All are accepted from the
+    /// operator. Two sources that agree may replace what is not the operator's. Other sources may
+    /// only add kinds that are missing.
     pub(super) fn acceptable_coefficients(&self, brought: &Navigation, source: &str) -> Navigation {
         let mut accepted = Navigation::default();
         let known = coefficients(&self.navigation).into_iter().zip(&self.coefficients);
@@ -193,7 +194,7 @@ impl Shared {
         accepted
     }
 
-    /// Whether coefficients of one kind come from another offer than `source`, unconfirmed.
+    /// Whether another source than `source` has offered the same coefficients of a kind.
     pub(super) fn offers_coefficients(&self, brought: &Navigation, source: &str) -> bool {
         let known = coefficients(&self.navigation).into_iter().zip(&self.coefficients);
         known.zip(coefficients(brought)).any(|((known, from), brought)| {
@@ -203,8 +204,8 @@ impl Shared {
         })
     }
 
-    /// The data that serve a session whose device has data of its own. They come before offers of
-    /// others, and after everything else.
+    /// The data that serve a session whose device has data of its own. Its own data have priority
+    /// over offers of others, but not over data of higher trust.
     pub(super) fn view(&self, own: &Navigation) -> Navigation {
         let mut view = (*self.navigation).clone();
         let mut yielding: Vec<Issue> = Vec::new();

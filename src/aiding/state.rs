@@ -1,4 +1,4 @@
-//! The navigation data in force after a push, and what another push changes.
+//! The navigation data in force after a push, and the changes that another push makes.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -28,7 +28,7 @@ pub(super) struct State {
     views: Mutex<Views>,
 }
 
-/// What one source brings in a push, as far as it is taken, and what ends because of it.
+/// The accepted part of a push of one source, and the data that end because of it.
 pub(super) struct Part {
     pub(super) source: Arc<str>,
     pub(super) new: Navigation,
@@ -41,7 +41,7 @@ pub(super) struct Part {
 }
 
 impl State {
-    /// The state that is stored.
+    /// The state from the stored data.
     pub(super) fn of(stored: StoredNavigation) -> Self {
         let mut state = Self { push: stored.push, ..Self::default() };
         let mut rows = stored.ephemerides;
@@ -63,8 +63,8 @@ impl State {
         state
     }
 
-    /// Whether a push changes nothing, because everything of it is known from a source of the same
-    /// or higher trust, or from the same device.
+    /// Whether a push changes nothing, because all its data are known from a source of the same or
+    /// higher trust, or from the same device.
     pub(super) fn knows(&self, pushed: &Navigation, source: &str) -> bool {
         let own = self.devices.of(source);
         let is_known = |ephemeris: &Ephemeris| {
@@ -84,7 +84,7 @@ impl State {
         knows_kinds && pushed.satellites().flat_map(|(_, list)| list).all(is_known)
     }
 
-    /// What is taken of a push, with what ends because of it.
+    /// The accepted parts of a push, each with the data that end because of it.
     pub(super) fn parts(
         &self,
         pushed: &Navigation,
@@ -112,7 +112,7 @@ impl State {
         parts.into_iter().filter(|part| !is_empty(part)).collect()
     }
 
-    /// The operator's data are taken. What contradicts them ends.
+    /// The part of the operator's data, which are always accepted. Data that contradict them end.
     fn of_operator(&self, pushed: &Navigation, source: &Arc<str>, limit: usize) -> Part {
         let mut new = pushed.clone();
         new.retain(|ephemeris| {
@@ -125,7 +125,7 @@ impl State {
         self.shared_part(new, pushed, source.clone(), ended)
     }
 
-    /// What two sources agree on serves all. Offers that contradict it end.
+    /// The part on which two sources agree. It serves all sessions. Offers that contradict it end.
     fn of_agreement(&self, confirmed: Navigation, limit: usize, now: i64) -> Part {
         let mut new = confirmed.clone();
         let mut ended = self.shared.make_room(&mut new, limit, now);
@@ -136,7 +136,7 @@ impl State {
         self.shared_part(new, &confirmed, AGREED.into(), ended)
     }
 
-    /// An offer is added where it contradicts nothing of higher trust and replaces nothing.
+    /// The part of an offer. It must not contradict data of higher trust, and replaces nothing.
     fn of_offer(&self, mut new: Navigation, source: &Arc<str>, limit: usize, now: i64) -> Part {
         let offered = new.clone();
         new.retain(|ephemeris| {
@@ -145,14 +145,14 @@ impl State {
         });
         let ended = self.shared.make_room(&mut new, limit, now);
         let mut part = self.shared_part(new, &offered, source.clone(), ended);
-        // What a device has decoded itself still comes first for its own session.
+        // For its own session, a device's own data still have priority.
         part.ended_owned.clear();
         part.ended_coefficients.clear();
         part
     }
 
-    /// The data of a device are added for its own session where they contradict nothing of higher
-    /// trust than an offer.
+    /// The part of a device's data, which serve its own session. They must not contradict data of
+    /// higher trust than an offer.
     fn of_device(&self, mut rest: Navigation, source: &Arc<str>, now: i64) -> Part {
         rest.retain(|ephemeris| {
             let known = self.shared.same_issue(ephemeris);
@@ -175,7 +175,7 @@ impl State {
         Part { source: source.clone(), new, ended, ended_owned, ended_coefficients }
     }
 
-    /// What another source has brought before `source`, and the rest.
+    /// The data that another source than `source` has already sent, and the rest.
     fn confirmed(&self, pushed: &Navigation, source: &str) -> (Navigation, Navigation) {
         let (mut confirmed, mut rest) = (Navigation::default(), Navigation::default());
         for ephemeris in pushed.satellites().flat_map(|(_, list)| list) {
@@ -201,7 +201,7 @@ impl State {
         (confirmed, rest)
     }
 
-    /// A part that serves all: `new` ephemerides, and the coefficients of `brought`.
+    /// A part that serves all sessions: `new` ephemerides, and the coefficients of `brought`.
     fn shared_part(
         &self,
         mut new: Navigation,
@@ -219,7 +219,7 @@ impl State {
         Part { source, new, ended, ended_owned, ended_coefficients }
     }
 
-    /// What serves the session of a device.
+    /// The data that serve the session of a device.
     pub(super) fn pushed_for(&self, device: &str) -> PushedNavigation {
         let push = self.push;
         let Some(own) = self.devices.of(device) else {
@@ -235,7 +235,7 @@ impl State {
         PushedNavigation { push, navigation }
     }
 
-    /// Takes over a part that is stored as push number `push`.
+    /// Adds a part that is stored as push number `push`.
     pub(super) fn take_over(
         &mut self,
         push: u64,

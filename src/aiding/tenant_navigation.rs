@@ -1,4 +1,4 @@
-//! Navigation data as one tenant sees and brings them.
+//! Navigation data as one tenant sees and adds them.
 
 use std::sync::Arc;
 
@@ -9,16 +9,16 @@ use super::navigation::{NavigationBroker, NavigationPush, NavigationStatus};
 use super::trust::{AGREED, UPLOAD, tenant_source};
 use super::{AidingError, PushedNavigation};
 
-/// Source of a tenant's own data in its status.
+/// Name of a tenant's own data in its navigation status.
 const OWN: &str = "own";
-/// Source of the operator's data in the status of other tenants.
+/// Name of the operator's data in the navigation status of other tenants.
 const OPERATOR: &str = "operator";
 
 /// The desk for navigation data, as one tenant sees it.
 #[derive(Clone)]
 pub struct TenantNavigation {
     broker: NavigationBroker,
-    /// The source that the tenant is; `None` for the operator.
+    /// The tenant as a source; `None` for the operator.
     source: Option<Arc<str>>,
 }
 
@@ -38,7 +38,8 @@ impl TenantNavigation {
         }
     }
 
-    /// Adds uploaded data. The operator's serve all sessions, those of another tenant its own.
+    /// Adds uploaded data. Those of the operator serve all sessions, those of another tenant its
+    /// own.
     ///
     /// # Errors
     /// The push has more ephemerides of one satellite than are kept, or the store fails.
@@ -46,8 +47,8 @@ impl TenantNavigation {
         self.broker.push(pushed, self.source.as_deref().unwrap_or(UPLOAD)).await
     }
 
-    /// The satellites with usable ephemerides, and the time that these cover. A tenant other than
-    /// the operator does not see the addresses of the operator's sources.
+    /// The satellites with usable ephemerides, and the time that the ephemerides cover. Other
+    /// tenants do not see the addresses of the operator's sources.
     pub fn status(&self) -> NavigationStatus {
         let Some(source) = &self.source else { return self.broker.status() };
         let mut status = self.broker.status_of(&self.current().navigation);

@@ -1,13 +1,13 @@
 //! How far a source of navigation data is trusted, and whether two sources agree.
 //!
-//! The operator's archives and streams come first, then what two independent sources agree on, then
-//! uploads and the streams of bases, and last what one device has decoded. Data of the first three
-//! serve all sessions; those of a device serve its own session only, until another source agrees.
-//! Nothing is replaced or contradicted by a source of lower trust.
+//! The order of trust is: the operator's archives and streams, then data on which two independent
+//! sources agree, then uploads and the streams of bases, and last the data that one device has
+//! decoded. Data of the first three serve all sessions; those of a device serve only its own
+//! session, until another source agrees. A source of lower trust replaces and contradicts nothing.
 //!
-//! All sources of a tenant other than the operator, its devices, uploads and bases, are one source
-//! of the trust of a device: it serves the sessions of the tenant only, until a source of another
-//! tenant agrees. So no tenant brings data to others, however many devices it has.
+//! All sources of a tenant other than the operator (its devices, uploads and bases) count as one
+//! source with the trust of a device. It serves only the sessions of the tenant, until a source of
+//! another tenant agrees. So no tenant can bring data to others, however many devices it has.
 
 use std::sync::Arc;
 
@@ -18,25 +18,25 @@ use crate::tenant::Tenant;
 
 /// Source of uploaded files, as the navigation status names it.
 pub const UPLOAD: &str = "upload";
-/// Source of what two independent sources have brought.
+/// Source of data on which two independent sources agree.
 pub const AGREED: &str = "agreed";
 /// Prefix of the sources that are streams of bases.
 pub(crate) const OF_BASE: &str = "base ";
-/// Beginning of the sources that are tenants; the name follows.
+/// Prefix of the sources that are tenants. The name of the tenant follows.
 pub(super) const TENANT_PREFIX: &str = "device tenant ";
-/// Source of what devices brought to earlier versions, which shared it at once.
+/// Source of the data of devices in earlier versions, which served all sessions at once.
 const FORMER_DEVICE: &str = "device";
-/// Difference of the satellite's positions and clocks by two ephemerides that contradict each other
-/// (m). Consecutive broadcasts differ by some metres at times for which both are valid.
+/// Two ephemerides contradict each other if the satellite's positions or clocks by them differ by
+/// more (m). Consecutive broadcasts differ by some metres at times for which both are valid.
 const CONTRADICTION_M: f64 = 100.0;
-/// The same by two copies of one broadcast that agree (m). Files round the broadcast values.
+/// Copies of one broadcast agree if these differences are below (m). Files round the values.
 const AGREEMENT_M: f64 = 0.1;
-/// Difference of two group delays that are copies of one broadcast (s).
+/// Largest difference of two group delays that are copies of one broadcast (s).
 const DELAY_S: f64 = 1e-10;
-/// Ratio of two stated accuracies that are copies of one broadcast.
+/// Largest ratio of two stated accuracies that are copies of one broadcast.
 const ACCURACY_RATIO: f64 = 1.5;
 
-/// How far a source is trusted, the least first.
+/// Trust in a source, the lowest first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Trust {
     /// A device, trusted by its own session only, or a tenant, trusted by its own sessions only.
@@ -70,7 +70,8 @@ pub(crate) fn rover_source(tenant: &Tenant, session: &str) -> Arc<str> {
     tenant_source(tenant).unwrap_or_else(|| device(session))
 }
 
-/// The one source that all sources of a tenant are; `None` for the operator's, which differ.
+/// The source that stands for all sources of a tenant; `None` for the operator, whose sources
+/// differ.
 pub(crate) fn tenant_source(tenant: &Tenant) -> Option<Arc<str>> {
     (!tenant.is_operator()).then(|| format!("{TENANT_PREFIX}{tenant}").into())
 }
@@ -121,7 +122,7 @@ fn is_same_delay(one_s: Option<f64>, other_s: Option<f64>) -> bool {
     }
 }
 
-/// Files have the accuracy itself, messages an index of it.
+/// Files contain the accuracy itself, messages an index of it.
 fn is_same_accuracy(one_m: Option<f64>, other_m: Option<f64>) -> bool {
     match (one_m, other_m) {
         (Some(one), Some(other)) => one.max(other) <= ACCURACY_RATIO * one.min(other),

@@ -1,5 +1,5 @@
-//! What serves the sessions of single devices that have navigation data of their own, as far as it
-//! was asked for recently.
+//! Views: the navigation data for the session of a device that has data of its own. Only those that
+//! were asked for recently are kept.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::size_of;
@@ -7,9 +7,9 @@ use std::sync::Arc;
 
 use crate::gnss::{Ephemeris, Navigation};
 
-/// Memory of the lists in all views that are those of one device (bytes).
+/// Most memory of the lists that views do not share with the common data (bytes).
 const BYTES_MAX: usize = 64 << 20;
-/// Memory of a view beside its lists (bytes).
+/// Memory of a view besides its lists (bytes).
 const OVERHEAD: usize = 8 << 10;
 
 /// Views by device, up to a limit of their memory.
@@ -27,7 +27,7 @@ impl Views {
         self.views.get(device).map(|(view, _)| view.clone())
     }
 
-    /// Adds the view of a device with data `own`. The oldest views make room for it.
+    /// Adds the view of a device with data `own`. The oldest views are removed to make room.
     pub(super) fn insert(&mut self, device: &str, view: Arc<Navigation>, own: &Navigation) {
         self.remove(device);
         let lists = own.satellites().map(|(satellite, _)| view.of(satellite).len());
@@ -45,7 +45,7 @@ impl Views {
         }
     }
 
-    /// Removes the view of a device whose data, or what serves it, have changed.
+    /// Removes the view of a device because its data, or the common data, have changed.
     pub(super) fn remove(&mut self, device: &str) {
         let removed = self.views.remove(device);
         self.bytes -= removed.map_or(0, |(_, bytes)| bytes);

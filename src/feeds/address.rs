@@ -1,9 +1,9 @@
 //! Which hosts may be contacted, and at which of their addresses.
 //!
 //! A client's choice of host must not lead into the operator's own network. Only hosts that the
-//! operator lists, for all tenants or for the client's, are contacted. The host's name is resolved
-//! once, each address is checked, and the connection uses a checked address. So it does not help an
-//! attacker to change the name's address a moment later.
+//! operator lists, for all tenants or for the client's tenant, are contacted. The host's name is
+//! resolved once, each address is checked, and the connection uses a checked address. So an
+//! attacker gains nothing by changing the name's address after the check.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -23,7 +23,7 @@ const ADDRESSES_LIMIT: usize = 16;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FetchPolicy {
     hosts: Vec<HostPattern>,
-    /// Further ones that a tenant may name.
+    /// Further hosts, by the tenant that may name them.
     of_tenants: BTreeMap<Tenant, Vec<HostPattern>>,
     allows_private: bool,
 }
@@ -45,7 +45,7 @@ impl FetchPolicy {
         Ok(Self { hosts: parsed(hosts)?, of_tenants: BTreeMap::new(), allows_private })
     }
 
-    /// The same, with further hosts that tenants of these names may name.
+    /// The same policy, with further hosts that certain tenants may name.
     ///
     /// # Errors
     /// A text is not a host, or not the name of a tenant.
@@ -61,7 +61,7 @@ impl FetchPolicy {
         Ok(self)
     }
 
-    /// The policy for what a tenant names.
+    /// The policy for hosts that a tenant names.
     pub(super) fn of(&self, tenant: &Tenant) -> Self {
         let own = self.of_tenants.get(tenant).into_iter().flatten();
         let hosts = self.hosts.iter().chain(own).cloned().collect();
@@ -80,7 +80,7 @@ impl FetchPolicy {
         Err(FetchError::HostNotAllowed { host: host.to_owned(), port })
     }
 
-    /// The addresses at which a host may be contacted. Connect to no other ones.
+    /// The checked addresses of a host. Connect to these only.
     ///
     /// # Errors
     /// The host is not listed, cannot be resolved, or all its addresses are refused.

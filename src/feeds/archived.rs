@@ -12,14 +12,14 @@ use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::web::{self, Fetched, Url, Validators, WebError};
 use super::{ArchiveTemplate, Connector, Tries};
 
-/// Most files of one request, a month of daily ones or a day of hourly ones, and most bytes of them
-/// together, as they are in memory.
+/// Most files of one request (a month of daily files, or a day of hourly ones), and most bytes of
+/// them together, as received.
 const FILES_MAX: usize = 32;
 const BYTES_MAX: usize = 64 << 20;
 
 /// A file of an archive.
 pub(crate) struct ArchivedFile {
-    /// Where it is.
+    /// Its URL.
     pub(crate) url: Url,
     /// Its bytes, plain or gzip.
     pub(crate) content: Vec<u8>,
@@ -40,15 +40,15 @@ pub struct NavigationArchives {
 }
 
 impl NavigationArchives {
-    /// Archives whose hosts the connector contacts.
+    /// Archives, fetched by `connector` from the hosts that it allows.
     pub fn new(templates: Vec<ArchiveTemplate>, connector: Connector) -> Self {
         Self { templates: templates.into(), connector }
     }
 
-    /// The files with ephemerides from one time until another, of the first archive that has any.
+    /// The files with ephemerides from one time until another, from the first archive that has any.
     ///
     /// # Errors
-    /// No archive has one, and one of them could not be asked.
+    /// No archive has a file, and at least one could not be asked.
     pub(crate) async fn files(
         &self,
         span: (GpsTime, GpsTime),
@@ -65,12 +65,12 @@ impl NavigationArchives {
     }
 }
 
-/// The files of an archive that contain the times from `from` until `until`, as far as it has them.
-/// An archive whose files are not of a certain time has none.
+/// The files of an archive that contain the times from `from` until `until`, as far as the archive
+/// has them. If the files have no certain time, the list is empty.
 ///
 /// # Errors
-/// The host is not contacted, refuses, or does not send a file in time, or the files are too large
-/// together.
+/// The host is not allowed, refuses, or does not send a file in time, or the files together are too
+/// large.
 pub(crate) async fn files(
     connector: &Connector,
     template: &ArchiveTemplate,
@@ -92,7 +92,7 @@ pub(crate) async fn files(
     Ok(found)
 }
 
-/// The content of a file, with several tries; `None` if the host does not have it.
+/// The content of a file, with several attempts; `None` if the host does not have the file.
 async fn tried(connector: &Connector, url: &Url) -> Result<Option<Vec<u8>>, WebError> {
     let (known, mut tries) = (Validators::default(), Tries::new());
     loop {

@@ -4,9 +4,9 @@ use std::time::Duration;
 
 use uuid::Uuid;
 
-/// Delays between attempts. Each is twice the previous one, up to a ceiling, and is drawn at random
-/// from half of it to all of it, so that clients that lost the same caster do not return at the
-/// same moment.
+/// Delays between attempts. Each is twice the previous one, up to a ceiling. The delay is drawn at
+/// random between half of this and all of it, so that clients that lost the same caster do not
+/// return at the same moment.
 #[derive(Clone, Debug)]
 pub(crate) struct Backoff {
     first: Duration,

@@ -20,10 +20,10 @@ use super::stop::stopped;
 use super::web::{self, Fetched, Validators, WebError};
 use super::{ArchiveTemplate, Backoff, Connector, FeedOptions};
 
-/// A file that is fetched this long after the end of its time is complete (ms).
+/// A file is complete if it is fetched this long after the end of its time (ms).
 const COMPLETE_AFTER_MS: i64 = 3_600_000;
-/// After this many failures in a row a file no longer delays newer ones. The base takes epochs in
-/// order of time, so the file can no longer be added once a newer one is.
+/// After this many failures in a row a file no longer delays newer files. The base takes epochs in
+/// order of time, so the file cannot be added any more once a newer one is.
 const BLOCKING_FAILURES: u32 = 4;
 /// Longest interval at which the requested times are read.
 const LOOK_INTERVAL: Duration = Duration::from_secs(3600);
@@ -61,8 +61,8 @@ struct File {
 }
 
 impl File {
-    /// Whether newer files wait for this one: the archive has it, but it could not be fetched
-    /// whole.
+    /// Whether newer files wait for this one: the archive has the file, but it could not be fetched
+    /// completely.
     fn blocks_newer(&self) -> bool {
         let exists = |problem: &FeedProblem| problem.code != Code::FileNotFound;
         let may_come = self.problem.as_ref().is_some_and(exists);
@@ -184,7 +184,7 @@ impl BaseArchive {
                     tracing::warn!(%code, base = %self.base, %url, %message, "no file of a base");
                 }
                 file.failures += 1;
-                // Fetch it again even if unchanged: the failure may have been on this side.
+                // Fetched again even if unchanged, because the failure may have been on this side.
                 file.known = Validators::default();
                 file.due_unix_ms = now + file.failing.next(retry_after).as_millis() as i64;
                 let message = format!("{url}: {message}");

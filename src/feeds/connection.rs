@@ -22,11 +22,11 @@ use super::{FetchError, FetchPolicy};
 /// Time limits for a host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimeLimits {
-    /// To accept a connection at one address, and for the TLS handshake.
+    /// Time to accept a connection at one address, and time for the TLS handshake.
     pub connecting: Duration,
-    /// To send the whole head of its answer.
+    /// Time to send the whole head of its answer.
     pub answering: Duration,
-    /// To send a whole list or file.
+    /// Time to send a whole list or file.
     pub listing: Duration,
 }
 
@@ -80,7 +80,7 @@ impl Connector {
         Ok(Self { policy: Arc::new(policy), tls: Arc::new(configuration).into(), time_limits })
     }
 
-    /// The same for what a tenant names.
+    /// The same connector, for hosts that a tenant names.
     pub(crate) fn of(&self, tenant: &Tenant) -> Self {
         Self { policy: Arc::new(self.policy.of(tenant)), ..self.clone() }
     }

@@ -21,11 +21,11 @@ use super::{ArchiveTemplate, BaseArchiveHealth, Connector, FeedHealth, FeedOptio
 /// The identity of a stream. Bases with the same key share one connection.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct StreamKey {
-    /// To whom the bases belong: no tenant learns of the streams of another.
+    /// Tenant that owns the bases. No tenant learns of the streams of another.
     tenant: Tenant,
     request: StreamRequest,
     near: Option<GpsTime>,
-    /// The coordinates' bits, which are compared only.
+    /// The bits of the coordinates, which are only compared.
     position: Option<[u64; 3]>,
     /// The base whose rovers' position is reported to the caster. The stream fills this base only.
     follows: Option<BaseId>,
@@ -37,7 +37,7 @@ struct RunningStream {
     task: JoinHandle<()>,
 }
 
-/// Files of bases that are unpacked at the same time.
+/// Most files of bases that are unpacked at the same time.
 const UNPACKED_AT_ONCE: usize = 2;
 
 /// A running archive that fills a base.
@@ -320,7 +320,8 @@ impl Feeds {
     }
 }
 
-/// The desk as its networks see it. They do not keep it alive; once it is gone, nothing is started.
+/// The desk as its networks see it. They do not keep it alive, and start nothing once it is
+/// dropped.
 impl Streams for Weak<Desk> {
     fn start(&self, base: &BaseId, feed: &BaseFeed) -> Result<(), FetchError> {
         self.upgrade().map_or(Ok(()), |desk| Feeds { desk }.start(&Tenant::operator(), base, feed))

@@ -12,8 +12,8 @@ use tokio::time::timeout;
 use super::web::{Head, REDIRECTIONS, answered, exchange, failed, head, on_same_host};
 use super::{Connector, FetchError, Url, WebError};
 
-/// Sends the chunks of a file to `chunks`, as fast as they are taken, until it has ended or nobody
-/// takes them any more. Redirections are followed on the same host only.
+/// Sends the chunks of a file to `chunks`, as fast as the receiver takes them, until the file ends
+/// or the receiver is dropped. Redirections are followed on the same host only.
 ///
 /// # Errors
 /// The host is not contacted, does not have the file, is silent, or the file does not arrive within
@@ -48,7 +48,7 @@ async fn follow(
     Err(WebError::Redirected { location: at.to_string() })
 }
 
-/// Sends the chunks of an answer, or returns to where it redirects.
+/// Sends the chunks of an answer, or returns the URL to which it redirects.
 async fn send(
     answer: Response<Incoming>,
     silence: Duration,

@@ -1,4 +1,4 @@
-//! The head of a host's answer: its end, and its fields.
+//! The head of a host's answer: its length, and its fields.
 
 use std::time::Duration;
 

@@ -1,15 +1,15 @@
 //! The desk that fetches aiding data: streams of NTRIP casters, and archives of files.
 //!
 //! [`Feeds`] keeps one connection per stream, however many bases the stream fills and however many
-//! sessions use these. It decodes the stream, pushes its epochs to its bases and its ephemerides to
-//! the navigation broker, and sets the position of bases whose creator gave none. When a stream
-//! ends, it is requested again after a delay that doubles; `FeedHealth` reports what the stream
-//! does and why it failed.
+//! sessions use these bases. It decodes the stream, and pushes its epochs to its bases and its
+//! ephemerides to the navigation broker. It also sets the position of bases whose creator gave
+//! none. When a stream ends, it is requested again after a delay that doubles; `FeedHealth` reports
+//! the state of the stream and the cause of its last failure.
 //!
-//! An archive can fill a base instead. It has one file per day, hour or quarter of an hour. A file
-//! is fetched once for all sessions, when epochs of its time must be positioned. The sourcetables
-//! of [`NetworkRequest`]s list further bases: the one nearest to a rover is connected while the
-//! rover needs it.
+//! Instead of a stream, an archive can fill a base. It has one file per day, hour or quarter of an
+//! hour. A file is fetched once for all sessions, when epochs of its time must be positioned.
+//! [`NetworkRequest`]s name casters whose sourcetables list further bases: the base nearest to a
+//! rover is connected while the rover needs it.
 //!
 //! Clients choose which casters and archives fill bases. Therefore only hosts that the operator
 //! lists are contacted, at addresses that were checked ([`FetchPolicy`]). The sources of

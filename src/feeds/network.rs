@@ -1,10 +1,10 @@
 //! Networks: casters whose sourcetable lists bases. A base is connected while a rover needs it.
 //!
-//! The table is fetched at an interval. A stream of it is usable if it is RTCM 3 with observations
-//! that the decoder supports, and has a position. Sessions that use the nearest of all bases record
-//! where their rover is. The usable stream nearest to a rover becomes a base of the service, with
-//! one connection for all its rovers. It is disconnected when no rover has needed it for a while;
-//! its epochs stay.
+//! The table is fetched at an interval. A stream in the table is usable if it is RTCM 3 with
+//! observations that the decoder supports, and has a position. Sessions that use the nearest of all
+//! bases record the position of their rover. The usable stream nearest to a rover becomes a base of
+//! the service, with one connection for all its rovers. It is disconnected when no rover has needed
+//! it for a while; its epochs stay.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,7 +26,7 @@ use super::ntrip::{
 use super::stop::stopped;
 use super::{Backoff, Connector, FetchError};
 
-/// Error of the positions in a table (m): they often have two decimals of a degree.
+/// Largest error of the positions in a table (m): they often have two decimals of a degree.
 const TABLE_ERROR_M: f64 = 2_000.0;
 /// First and longest delay before a table is requested again after a failure.
 const DELAY: Duration = Duration::from_secs(30);
@@ -75,7 +75,7 @@ pub struct NetworkHealth {
     pub succeeded_unix_ms: Option<i64>,
     /// Why the table could not be fetched; `None` after a success.
     pub problem: Option<FeedProblem>,
-    /// Why the stream needed last did not become a base; `None` after a success.
+    /// Why the stream that was last needed did not become a base; `None` after a success.
     pub refusal: Option<FeedProblem>,
     /// When the table is fetched again (ms since 1970-01-01 UTC).
     pub retry_unix_ms: Option<i64>,
@@ -232,14 +232,14 @@ impl<S: Streams> Network<S> {
     fn failed(&self, error: &NtripError) {
         self.enter(SourceState::Waiting);
         let (code, caster) = (error.code(), &self.request.caster);
-        // Once for each cause, not for each attempt.
+        // Logged once for each cause, not for each attempt.
         if self.lock().problem.as_ref().is_none_or(|problem| problem.code != code) {
             tracing::warn!(%code, %caster, %error, "a caster's sourcetable cannot be fetched");
         }
         self.lock().problem = Some(FeedProblem::from(error));
     }
 
-    /// Connects the streams that rovers need, and disconnects those that none has needed for a
+    /// Connects the streams that rovers need, and disconnects those that no rover has needed for a
     /// while.
     async fn serve(&mut self) {
         let bases = self.bases.clone();
@@ -315,7 +315,7 @@ fn problem_of(error: &FetchError) -> FeedProblem {
     FeedProblem { code: error.code(), message: error.to_string() }
 }
 
-/// The base that a stream fills: an existing one of this stream, or a new one.
+/// The base that a stream fills: the existing base of this stream, or a new one.
 async fn base_of(
     bases: &BaseBroker,
     feed: &BaseFeed,

@@ -13,11 +13,11 @@ pub struct FeedOptions {
     pub delay: Duration,
     /// Longest delay before a stream is requested again.
     pub delay_ceiling: Duration,
-    /// First delay if somebody must change something before the stream can succeed.
+    /// First delay if the stream cannot succeed before somebody changes something.
     pub lasting_delay: Duration,
-    /// Longest delay if somebody must change something before the stream can succeed.
+    /// Longest delay if the stream cannot succeed before somebody changes something.
     pub lasting_ceiling: Duration,
-    /// After a stream has lasted this long, its delays start again from the first.
+    /// After a stream has lasted this long, its delays start again from the first delay.
     pub steady: Duration,
     /// Time between two position reports to a caster that computes the stream for a position.
     pub position_interval: Duration,

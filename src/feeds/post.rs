@@ -1,4 +1,4 @@
-//! Sends a message to a host by HTTP. What the host answers beyond its head is not read.
+//! Sends a message to a host by HTTP. Only the head of the answer is read.
 
 use std::time::Duration;
 
@@ -21,8 +21,8 @@ pub(crate) struct Posted {
     pub(crate) retry_after: Option<Duration>,
 }
 
-/// Sends `body`, JSON, with these fields in the head. A redirection is an answer as any other: it
-/// is not followed.
+/// Sends `body`, which is JSON, with these fields in the head. A redirection is not followed, but
+/// returned like any other answer.
 ///
 /// # Errors
 /// The host is not contacted, or does not answer in time.

@@ -100,7 +100,7 @@ impl Source {
         let status = Arc::new(StreamStatus::new(None));
         let name = format!("{}/{}", request.caster, request.mountpoint);
         let (connector, aiding) = (connector.clone(), aiding.clone());
-        // These streams need not contain epochs.
+        // Streams of ephemerides may have no epochs.
         let options = FeedOptions { no_epochs: Duration::MAX, ..options };
         let stream = Stream::new(
             request,

@@ -19,8 +19,8 @@ use super::ntrip::{self, NtripError, NtripStream, StreamRequest, position_senten
 use super::stop::stopped;
 use super::{Backoff, Connector, FeedOptions};
 
-/// Most epochs that wait for the stream to report its station's position. Most streams do twice a
-/// minute.
+/// Most epochs that wait until the stream reports its station's position. Most streams report it
+/// twice a minute.
 const EARLY_EPOCHS: usize = 300;
 
 /// The health and bases of a stream, shared between its task and the desk.
@@ -72,7 +72,7 @@ impl StreamStatus {
         self.lock().clone()
     }
 
-    /// The health of the stream as far as it concerns `base`.
+    /// The health of the stream, with the refusals of `base`.
     pub(super) fn health_of(&self, base: &BaseId) -> FeedHealth {
         let mut health = self.health();
         if let Some(filled) = self.bases().iter().find(|filled| filled.id == *base) {
@@ -82,7 +82,7 @@ impl StreamStatus {
         health
     }
 
-    /// Changes what is known of a base, if the stream still fills it.
+    /// Changes the status of a base, if the stream still fills it.
     fn update(&self, base: &BaseId, change: impl FnOnce(&mut FilledBase)) {
         if let Some(filled) = self.bases().iter_mut().find(|filled| filled.id == *base) {
             change(filled);
@@ -106,7 +106,7 @@ pub(super) struct StreamHints {
     pub(super) position: Option<Ecef>,
     /// The base whose rovers' position is reported to the caster.
     pub(super) follows: Option<BaseId>,
-    /// The source of its ephemerides, if they belong to a tenant other than the operator.
+    /// The source of its ephemerides, if the bases belong to a tenant other than the operator.
     pub(super) source: Option<Arc<str>>,
 }
 
@@ -349,7 +349,7 @@ impl Stream {
         is_refused
     }
 
-    /// The rovers' position: the last one computed against the base, or else the stated one.
+    /// The rovers' position: the last one computed against the base, otherwise the stated one.
     fn rovers(&self) -> Option<Ecef> {
         let StreamHints { position, follows, .. } = &self.hints;
         follows.as_ref().and_then(|base| self.aiding.bases.rover(base)).or(*position)
@@ -368,7 +368,7 @@ impl Stream {
         health.retry_unix_ms = Some(now + delay.as_millis() as i64);
         let StreamRequest { caster, mountpoint, .. } = &self.request;
         let code = error.code();
-        // Once for each cause, not for each attempt.
+        // Logged once for each cause, not for each attempt.
         if health.problem.as_ref().is_none_or(|problem| problem.code != code) {
             tracing::warn!(%code, %caster, %mountpoint, %error, "a caster's stream is lost");
         }

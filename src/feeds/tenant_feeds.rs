@@ -6,8 +6,8 @@ use crate::tenant::Tenant;
 use super::desk::Feeds;
 use super::{BaseArchiveHealth, FeedHealth, FetchError, NetworkHealth, SourceStatus};
 
-/// The desk for streams and archives, as one tenant sees it. Bases are named by the ids of those
-/// that the tenant has.
+/// The desk for streams and archives, as one tenant sees it. Its calls take ids of bases that
+/// belong to the tenant.
 #[derive(Clone, Copy)]
 pub(crate) struct TenantFeeds<'a> {
     feeds: &'a Feeds,
@@ -69,12 +69,12 @@ impl TenantFeeds<'_> {
         self.feeds.archive_health(base)
     }
 
-    /// The operator's networks, which show where rovers are; none to another tenant.
+    /// The operator's networks. Another tenant gets none, because they show where rovers are.
     pub(crate) fn networks(&self) -> Vec<NetworkHealth> {
         if self.tenant.is_operator() { self.feeds.networks() } else { Vec::new() }
     }
 
-    /// The operator's sources of ephemerides; none to another tenant.
+    /// The operator's sources of ephemerides. Another tenant gets none.
     pub(crate) fn navigation_sources(&self) -> Vec<(String, SourceStatus)> {
         if self.tenant.is_operator() { self.feeds.navigation_sources() } else { Vec::new() }
     }

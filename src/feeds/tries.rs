@@ -1,4 +1,4 @@
-//! How often a file is tried, and the delays between the tries.
+//! Number of attempts to fetch a file, and the delays between them.
 
 use std::time::Duration;
 
@@ -6,12 +6,12 @@ use crate::refusal::Code;
 
 use super::{Backoff, WebError};
 
-/// Times that a file is tried, and the delays between them.
+/// Number of attempts to fetch a file.
 const TRIES: usize = 3;
 const DELAY: Duration = Duration::from_secs(2);
 const DELAY_CEILING: Duration = Duration::from_secs(60);
 
-/// The tries of one file.
+/// The remaining attempts for one file.
 #[derive(Clone, Debug)]
 pub(crate) struct Tries {
     left: usize,
@@ -19,13 +19,13 @@ pub(crate) struct Tries {
 }
 
 impl Tries {
-    /// Before the first one.
+    /// The attempts before the first one.
     pub(crate) const fn new() -> Self {
         Self { left: TRIES, backoff: Backoff::new(DELAY, DELAY_CEILING) }
     }
 
-    /// The delay before the next try after one that has failed; `None` if there is no other, since
-    /// it would fail, too, or was the last one.
+    /// The delay before the next attempt after a failed one. `None` if no attempt follows, because
+    /// it would fail, too, or because none is left.
     pub(crate) fn delay_after(&mut self, error: &WebError) -> Option<Duration> {
         self.left = self.left.saturating_sub(1);
         if self.left == 0 || !error.is_passing() {
@@ -37,7 +37,7 @@ impl Tries {
 }
 
 impl WebError {
-    /// Whether another try may succeed.
+    /// Whether another attempt may succeed.
     fn is_passing(&self) -> bool {
         let passing = [
             Code::HostUnresolved,
@@ -75,7 +75,7 @@ mod tests {
         }
     }
 
-    /// A host may ask for a delay, but not for a long one.
+    /// The delay that a host asks for is respected, but only up to a limit.
     #[test]
     fn the_delay_that_a_host_asks_for_is_kept_within_a_limit() {
         let refused = |seconds| {

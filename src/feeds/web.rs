@@ -228,8 +228,8 @@ async fn ask(
     exchange(connector, at, request, |response| take(response, limit)).await
 }
 
-/// Sends a request on a connection of its own, and gives the answer to `take`, if its head comes
-/// within `longest`.
+/// Sends a request on a new connection, and passes the answer to `take` if its head arrives within
+/// `longest`.
 pub(crate) async fn exchange<B, T, F>(
     connector: &Connector,
     at: &Url,
@@ -257,7 +257,7 @@ where
     }
 }
 
-/// The head of a request, with the fields of all requests.
+/// The head of a request, with the fields that all requests have.
 pub(super) fn head(method: Method, at: &Url) -> Builder {
     Request::builder()
         .method(method)
@@ -280,20 +280,20 @@ fn request(at: &Url, known: &Validators) -> Result<Request<Empty<Bytes>>, WebErr
     Ok(request.body(Empty::new()).map_err(invalid)?)
 }
 
-/// What the head of an answer says.
+/// The meaning of the head of an answer.
 pub(super) enum Head {
     /// The file follows.
     File,
     /// The file has not changed.
     Unchanged,
-    /// The file is elsewhere.
+    /// The file is at another URL.
     Elsewhere(String),
 }
 
 /// Reads the head of an answer.
 ///
 /// # Errors
-/// It says that no file follows.
+/// It means that no file follows.
 pub(super) fn answered(response: &Response<Incoming>) -> Result<Head, WebError> {
     let field = |name| response.headers().get(name).cloned();
     let text = |name| field(name).and_then(|value| value.to_str().ok().map(str::to_owned));

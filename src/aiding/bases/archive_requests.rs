@@ -33,7 +33,7 @@ impl ArchiveRequests {
         let quarter = |time: GpsTime| time.as_ns().div_euclid(QUARTER_NS);
         let requested = (quarter(from)..=quarter(until + LEAD_S)).take(QUARTERS_LIMIT);
         let mut quarters = self.quarters();
-        // // `filter` runs for each quarter, so known ones are renewed.
+        // `filter` runs for each quarter, so known ones are renewed.
         let new =
             requested.filter(|quarter| quarters.insert(*quarter, now_unix_ms).is_none()).count();
         while QUARTERS_LIMIT < quarters.len() {
@@ -75,7 +75,7 @@ mod tests {
         assert_eq!(requests.starts(1), [at(0.0), at(15.0), at(30.0)]);
         requests.add(at(31.0), at(31.0), 5000);
         assert_eq!(requests.starts(1000 + EXPIRY_MS), [at(30.0)]);
-        // // A push with epochs of a whole year does not make the service fetch that year.
+        // A push with epochs of a whole year does not make the service fetch that year.
         requests.add(at(0.0), at(1e6), 5000);
         assert_eq!(requests.starts(5000).len(), QUARTERS_LIMIT);
     }

@@ -26,7 +26,7 @@ pub(super) struct BaseDescription {
     pub(super) frame: Option<CoordinateFrame>,
 }
 
-/// A base with its epochs and what its rovers request.
+/// A base with its epochs and the requests of its rovers.
 pub(super) struct Base {
     pub(super) description: BaseDescription,
     /// Times at which rovers need files of the archive.

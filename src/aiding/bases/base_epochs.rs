@@ -35,7 +35,7 @@ pub(super) struct BaseEpochs {
     /// Encoded size of the epochs.
     pub(super) bytes: usize,
     pub(super) checks: PositionChecks,
-    /// The navigation push and the newest epoch (their numbers) of the last check on request.
+    /// Numbers of the navigation push and of the newest epoch at the last check on request.
     pub(super) check_tried: Option<(u64, u64)>,
     /// Number of satellites in the newest epoch.
     pub(super) satellites: usize,

@@ -30,8 +30,8 @@ pub struct BaseBroker {
     pub(super) antennas: Antennas,
     pub(super) limits: AidingLimits,
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
-    /// Locked while a base is created, so that their number never exceeds the limit, and while the
-    /// bases of another node are taken over.
+    /// Locked while a base is created, so that the number of bases never exceeds the limit, and
+    /// while this node reads the bases that another node has stored.
     pub(super) creating: Arc<tokio::sync::Mutex<()>>,
     nearest_base_requests: NearestBaseRequests,
 }
@@ -67,11 +67,11 @@ impl BaseBroker {
         Ok(self.create_for(&Tenant::operator(), new, None, None).await?.0)
     }
 
-    /// The same for a tenant, as an act of `author`. Returns the base, and whether it is new: a
-    /// repetition of a named request returns what the first one has created.
+    /// Creates a base of a tenant, as an act of `author`. Returns the base, and whether it is new:
+    /// a repetition of a named request returns the base that the first one has created.
     ///
     /// # Errors
-    /// The same; or another request had this name.
+    /// As for [`Self::create`]; or a request with this name had other content.
     pub(super) async fn create_for(
         &self,
         tenant: &Tenant,
@@ -132,7 +132,7 @@ impl BaseBroker {
         Ok((base.info(), true))
     }
 
-    /// The base that a tenant's request of this name has created.
+    /// The base that a tenant's request with this name has created.
     fn created_by(&self, tenant: &Tenant, request: &str) -> Option<Arc<Base>> {
         let is_it = |base: &&Arc<Base>| {
             let BaseDescription { tenant: of, request: by, .. } = &base.description;
@@ -156,7 +156,7 @@ impl BaseBroker {
         self.infos(|_| true).await
     }
 
-    /// The bases for which `is_asked` holds.
+    /// The bases for which `is_asked` is true, with their health.
     pub(super) async fn infos(&self, is_asked: impl Fn(&Base) -> bool + Send) -> Vec<BaseInfo> {
         let bases: Vec<Arc<Base>> = {
             let bases = self.read();
@@ -193,7 +193,7 @@ impl BaseBroker {
         self.read().keys().cloned().collect()
     }
 
-    /// Every base that is filled by a caster's stream, and to whom it belongs.
+    /// Every base that is filled by a caster's stream, with the tenant that owns it.
     pub(crate) fn feeds(&self) -> Vec<(BaseId, Tenant, BaseFeed)> {
         let bases = self.read();
         let fed = bases
@@ -202,8 +202,8 @@ impl BaseBroker {
         fed.map(|(id, base, feed)| (id, base.description.tenant.clone(), feed)).collect()
     }
 
-    /// Every base that is filled from an archive, with the template of the archive's file
-    /// addresses.
+    /// Every base that is filled from an archive, with the tenant that owns it and the template of
+    /// the archive's file addresses.
     pub(crate) fn archives(&self) -> Vec<(BaseId, Tenant, String)> {
         let bases = self.read();
         let filled = bases
@@ -294,10 +294,10 @@ impl BaseBroker {
         self.delete_by(id, None).await
     }
 
-    /// The same as an act of `author`.
+    /// Like [`Self::delete`], as an act of `author`.
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::delete`].
     pub(super) async fn delete_by(
         &self,
         id: &BaseId,
@@ -318,8 +318,8 @@ impl BaseBroker {
         Ok(())
     }
 
-    /// Checks the position with stored epochs if no epoch has checked it yet: navigation data may
-    /// have arrived after the epochs. The same data are not tried again.
+    /// Checks the position with stored epochs if no epoch has checked it yet, because navigation
+    /// data may have arrived after the epochs. A check with the same data is not repeated.
     async fn check_stored(&self, base: &Base) {
         let push = self.navigation.current().push;
         let (site, epochs) = {
@@ -355,7 +355,7 @@ impl BaseBroker {
         }
     }
 
-    /// The bases of these names that still exist, in the order of the names.
+    /// The bases with these names that still exist, in the order of the names.
     pub(crate) fn candidates(&self, names: &[BaseName]) -> Candidates {
         Candidates::new(names.iter().filter_map(|name| self.of_key(name.key)).collect())
     }
@@ -405,7 +405,7 @@ pub(super) fn stored_id(row: &BaseRow) -> Result<BaseId, StoreError> {
     })
 }
 
-/// A base of the store with its epochs.
+/// A base read from the store, with its epochs.
 pub(super) fn stored_base(
     row: BaseRow,
     epochs: Vec<StoredBaseEpoch>,
@@ -424,8 +424,8 @@ pub(super) fn stored_base(
     Base::new(description, BaseEpochs::new(row.sites, epochs, stored_unix_ms))
 }
 
-/// What the audit log says of a new base: without the user and password at a caster, and of an
-/// archive without the path, which may have a token.
+/// A new base as text for the audit log. It omits the user and password at a caster, and the path
+/// of an archive, which may contain a token.
 fn described(new: &NewBaseRow<'_>) -> String {
     let mut text = format!("label {:?}", new.label);
     if let Some(BaseFeed { caster, mountpoint, .. }) = new.feed {

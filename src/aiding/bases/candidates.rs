@@ -15,7 +15,7 @@ use crate::store::BaseKey;
 use super::BaseView;
 use super::base::Base;
 
-/// The bases among which a session takes the nearest. All clones share them.
+/// The bases from which a session chooses the nearest. All clones share them.
 #[derive(Clone)]
 pub(crate) struct Candidates {
     bases: Vec<Arc<Base>>,
@@ -27,7 +27,7 @@ struct CandidateState {
     distance_m: f64,
     /// It is within the longest baseline, has a recent epoch, and its position is not refused.
     is_usable: bool,
-    /// Its epochs have arrived without a gap for long enough to change to it.
+    /// Its epochs have arrived without a gap for long enough, so a rover may change to it.
     is_steady: bool,
 }
 
@@ -40,8 +40,8 @@ impl Candidates {
     /// `position` is the rover's approximate position; `present` is the base of the rover's last
     /// epoch.
     ///
-    /// Without a usable base the present one stays, or else the nearest is chosen: the solution
-    /// then reports what is wrong with it. `None` if no base has a known position, or if the
+    /// If no base is usable, the present one stays; without a present one the nearest is chosen.
+    /// The solution then reports the reason. `None` if no base has a known position, or if the
     /// rover's position is unknown and there is no present base.
     pub(crate) fn choose(
         &self,
@@ -68,7 +68,7 @@ impl Candidates {
     }
 }
 
-/// `None` if the base has no position yet.
+/// The state of a base as seen from a rover; `None` if the base has no position yet.
 fn state_of(
     base: &Base,
     position: Ecef,
@@ -154,7 +154,7 @@ mod tests {
         assert_eq!((there_and_back[0], there_and_back[4_001]), (0, 0));
     }
 
-    /// Moving around the middle by 1 km changes nothing, wherever it starts.
+    /// A rover that moves by 1 km around the middle keeps its base, whichever base it began with.
     #[test]
     fn a_rover_in_the_middle_keeps_its_base() {
         for start_km in [9.9, 10.1] {
@@ -167,12 +167,12 @@ mod tests {
 
     #[test]
     fn a_near_base_is_not_left_for_one_a_little_nearer() {
-        // // Half the distance but only 500 m less; much nearer, but not steady yet.
+        // Half the distance but only 500 m less; much nearer, but not steady yet.
         assert_eq!(choice(&[at(1.0), at(0.5)], Some(0), &options()), Some(0));
         let fresh = CandidateState { is_steady: false, ..at(1.0) };
         assert_eq!(choice(&[at(30.0), fresh], Some(0), &options()), Some(0));
         assert_eq!(choice(&[at(30.0), fresh], None, &options()), Some(1));
-        // Of those that are better the nearest.
+        // The nearest of several better bases.
         assert_eq!(choice(&[at(30.0), at(5.0), at(3.0)], Some(0), &options()), Some(2));
     }
 

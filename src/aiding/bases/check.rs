@@ -11,7 +11,7 @@ const INTERVAL_S: f64 = 3600.0;
 /// may have been wrong.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PositionChecks {
-    /// The last completed check; before that the first one, complete or not.
+    /// The last completed check. Before the first is completed, it is the first check.
     pub(super) present: BasePositionCheck,
     /// The check to continue.
     next: BasePositionCheck,
@@ -20,7 +20,7 @@ pub(super) struct PositionChecks {
 }
 
 impl PositionChecks {
-    /// A check that has had no epoch.
+    /// A check without epochs.
     pub(super) fn new() -> Self {
         let none = BasePositionCheck::new();
         Self { present: none, next: none, ended: None }

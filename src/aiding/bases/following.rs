@@ -1,5 +1,5 @@
-//! Takes over what another node of the cluster has stored of bases: one node writes them, and the
-//! others follow.
+//! Reads from the store what another node of the cluster has stored of bases. One node writes the
+//! bases, and the others follow.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -15,8 +15,8 @@ use super::broker::{BaseBroker, stored_base, stored_id};
 type Later = (Vec<StoredBaseEpoch>, i64);
 
 impl BaseBroker {
-    /// Takes over new bases, sites and epochs, and drops bases that are deleted. Epochs are read
-    /// after those that are known, by their numbers.
+    /// Reads new bases, sites and epochs from the store, and drops bases that are deleted. Of each
+    /// base it reads the epochs after the last known number.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
@@ -25,13 +25,13 @@ impl BaseBroker {
         if self.store.leads() {
             return Ok(()); // It has stored all of it.
         }
-        // The epochs of a base that is new here are read in the next round.
+        // If a base is new here, its epochs are read in the next round.
         while self.follow_once().await? {}
         Ok(())
     }
 
-    /// Takes over what is new of the bases that are known, and then those that are not, without
-    /// their epochs. Returns whether there were any.
+    /// Reads new epochs and sites of the known bases, and then the bases that are not known,
+    /// without their epochs. Returns whether there were any of the latter.
     async fn follow_once(&self) -> Result<bool, AidingError> {
         let known: Vec<(BaseKey, u64)> = {
             let bases = self.read();
@@ -44,8 +44,8 @@ impl BaseBroker {
             epochs.push(epoch);
             *stored_unix_ms = unix_ms;
         }
-        // After the epochs: a site is stored with its first epoch or before, so that no epoch is
-        // seen without its site.
+        // After the epochs: a site is stored with its first epoch or before it. So an epoch is
+        // never seen without its site.
         let mut rows: BTreeMap<BaseId, BaseRow> = BTreeMap::new();
         for row in self.store.bases().await? {
             rows.insert(stored_id(&row)?, row);
@@ -68,8 +68,8 @@ impl BaseBroker {
         Ok(has_new)
     }
 
-    /// Takes over sites and epochs of a base. What they leave no room for was dropped by the node
-    /// that stored them, by the same limits.
+    /// Adds sites and epochs of a base. Epochs beyond the limits are dropped; the node that stored
+    /// them has dropped the same ones.
     fn take_over(&self, base: &Base, row: BaseRow, new: Option<Later>) {
         let mut stored = base.stored();
         if *stored.sites != row.sites {
@@ -77,7 +77,7 @@ impl BaseBroker {
         }
         let Some((epochs, unix_ms)) = new else { return };
         let limits = (self.limits.epochs_per_base, self.limits.bytes_per_base);
-        // Gaps are what is dropped already.
+        // A gap before the first new epoch means that the epochs between are already dropped.
         let first = epochs.first().map_or(1, |first| first.number);
         let kept = stored.first_kept(&epochs, limits.0, limits.1).unwrap_or(first);
         let follows = stored.next_number() == first;

@@ -94,7 +94,7 @@ pub struct NewBase {
 pub struct BaseInfo {
     /// The id and key of the base.
     pub name: BaseName,
-    /// To whom it belongs.
+    /// Tenant that owns the base.
     pub tenant: Tenant,
     /// A name for people.
     pub label: String,

@@ -14,14 +14,14 @@ pub(crate) struct NearestBaseRequest {
     pub position: Ecef,
     /// Longest baseline that its session allows (m).
     pub baseline_max_m: f64,
-    /// When the rover was there (ms since 1970-01-01 UTC).
+    /// Time of this position (ms since 1970-01-01 UTC).
     pub unix_ms: i64,
 }
 
 /// The last request of each session. All clones share them.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct NearestBaseRequests {
-    /// Requests are recorded only once somebody has read them.
+    /// Set by the first read. Requests are recorded only from then on.
     is_read: Arc<AtomicBool>,
     by_session: Arc<Mutex<HashMap<SessionKey, NearestBaseRequest>>>,
 }

@@ -1,4 +1,4 @@
-//! Bases for a recording: those that may serve it, and their epochs of its time.
+//! Bases for a recording: the suitable ones, and their epochs of its time.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use super::base::Base;
 use super::tenant_bases::TenantBases;
 use super::{BaseId, BaseView};
 
-/// A base that may serve a recording.
+/// A base that may be used for a recording.
 pub(crate) struct PastBase {
     base: Arc<Base>,
     /// Its distance from the rover (m); `None` while its position or the rover's is unknown.
@@ -20,9 +20,10 @@ pub(crate) struct PastBase {
 }
 
 impl TenantBases<'_> {
-    /// The bases of a choice that may serve a rover at `position`, the nearest first and those
-    /// whose distance is unknown last: named ones, else all that the tenant's sessions may take as
-    /// the nearest, at most `longest_m` away and with a position that is not refused.
+    /// The bases of a choice that may be used for a rover at `position`. The nearest comes first;
+    /// bases with an unknown distance come last. Without named bases they are all that the tenant's
+    /// sessions may use. Unless only one base is named, a base must not be farther than
+    /// `longest_m`, and its position must not be refused.
     ///
     /// # Errors
     /// The tenant sees no base with an id of the choice.
@@ -71,7 +72,7 @@ impl PastBase {
         self.base.description.frame
     }
 
-    /// To whom it belongs.
+    /// Tenant that owns it.
     pub(crate) fn tenant(&self) -> &Tenant {
         &self.base.description.tenant
     }
@@ -81,13 +82,13 @@ impl PastBase {
         self.base.description.archive.as_deref()
     }
 
-    /// The times of the base epochs that rover epochs of a span may need, none older than `age_s`.
+    /// Span of the base epochs that rover epochs of a span may need, none older than `age_s`.
     pub(crate) fn needed((from, until): (GpsTime, GpsTime), age_s: f64) -> (GpsTime, GpsTime) {
         (from - age_s, until + BASE_LATER_S)
     }
 
-    /// Its stored epochs for rover epochs of a span, none older than `age_s`, with position and
-    /// antenna at the last of them; without epochs, at its newest one.
+    /// Its stored epochs for rover epochs of a span, none older than `age_s`. Position and antenna
+    /// are those at the last of these epochs; without epochs, those at its newest stored epoch.
     pub(crate) fn stored(
         &self,
         span: (GpsTime, GpsTime),

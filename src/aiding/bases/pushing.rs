@@ -26,7 +26,7 @@ enum PushedSite<'a> {
 }
 
 impl<'a> PushedSite<'a> {
-    /// The site, if it applies to a base with the site `present`.
+    /// The site, if it applies to a base whose site is `present`.
     fn over(self, present: Option<&BaseSite>) -> Option<&'a BaseSite> {
         match self {
             Self::Stated(site) => Some(site),
@@ -90,7 +90,7 @@ impl BaseBroker {
         let _turn = base.pushing.lock().await;
         self.base(id)?; // Not deleted meanwhile.
         self.refresh(&base).await?;
-        // Only now, because another push may have given the position meanwhile.
+        // Decided here, because another push may have set the position meanwhile.
         let site = site.and_then(|site| site.over(base.stored().site()));
         let site = site.map(|site| self.antennas.calibrated(site, base.stored().site()));
         let (new_site, in_force, mut checks, mut new) = {

@@ -1,8 +1,8 @@
 //! Bases as one tenant sees and changes them.
 //!
-//! A tenant has its own bases. It also sees and uses the operator's, and changes none of them. Two
-//! kinds of the operator's bases show where rovers of others are, so they are hidden: those that
-//! follow their rovers serve the operator's sessions only, and those that a network connects on
+//! A tenant has its own bases. It also sees and uses the operator's, but cannot change them. Two
+//! kinds of the operator's bases would reveal where rovers of others are, so they are hidden. Bases
+//! that follow their rovers serve only the operator's sessions. Bases that a network connects on
 //! demand are used as the nearest base, but neither listed nor named.
 
 use std::sync::Arc;
@@ -32,11 +32,11 @@ impl BaseBroker {
 }
 
 impl TenantBases<'_> {
-    /// Creates a base of the tenant, as an act of `author`. Returns it, and whether it is new: a
-    /// repetition of a named request returns what the first one has created.
+    /// Creates a base of the tenant, as an act of `author`. Returns the base, and whether it is
+    /// new: a repetition of a named request returns the base that the first one has created.
     ///
     /// # Errors
-    /// As [`BaseBroker::create`]; or another request had this name.
+    /// As for [`BaseBroker::create`]; or a request with this name had other content.
     pub async fn create(
         &self,
         new: NewBase,
@@ -68,7 +68,7 @@ impl TenantBases<'_> {
         Ok(self.visible(id)?.name().clone())
     }
 
-    /// All bases that the tenant's sessions may take as the nearest.
+    /// All bases from which the tenant's sessions may choose the nearest.
     pub(crate) fn candidates(&self) -> Candidates {
         Candidates::new(self.usable())
     }
@@ -116,12 +116,12 @@ impl TenantBases<'_> {
         }
     }
 
-    /// Whether there is a base that the tenant's sessions may take as the nearest.
+    /// Whether there is a base that the tenant's sessions may choose as the nearest.
     pub(crate) fn has_usable(&self) -> bool {
         self.broker.read().values().any(|base| self.may_use(base))
     }
 
-    /// All bases that the tenant's sessions may take as the nearest.
+    /// All bases that the tenant's sessions may choose as the nearest.
     pub(super) fn usable(&self) -> Vec<Arc<Base>> {
         self.broker.read().values().filter(|base| self.may_use(base)).cloned().collect()
     }

@@ -9,7 +9,7 @@ use crate::store::{BaseKey, BaseName, BaseUse, StoredBaseEpoch};
 /// The key of bases that are not stored: rows are numbered from 1.
 const NOT_STORED: BaseKey = BaseKey::of_number(0);
 
-/// A base and its epochs of a span of time. It does not change when the base does.
+/// A base and its epochs of a span of time. Later changes of the base do not change it.
 #[derive(Clone, Debug)]
 pub struct BaseView {
     pub(super) name: BaseName,
@@ -27,7 +27,7 @@ pub struct BaseInput {
     station: Option<BaseStation>,
     /// The calibration of the station's antenna.
     calibration: Option<Arc<AntennaCalibration>>,
-    /// Whether the epochs given before have another calibration.
+    /// Whether the estimator received its last base epochs with another calibration.
     is_recalibrated: bool,
     epochs: Vec<Epoch>,
 }
@@ -43,9 +43,9 @@ impl BaseView {
         &self.name
     }
 
-    /// The base epochs to give with a rover epoch at `time`: numbered above `after`, tagged up to
-    /// `time`, and at most `span_s` old. The station is the site of the newest of them, because the
-    /// rover's observations are differenced against that epoch.
+    /// The base epochs that the estimator receives with a rover epoch at `time`: numbered above
+    /// `after`, tagged up to `time`, and at most `span_s` old. The station is the site of the
+    /// newest of them, because the rover's observations are differenced against that epoch.
     pub(crate) fn input_at(&self, time: GpsTime, after: u64, span_s: f64) -> BaseInput {
         let is_past = |epoch: &StoredBaseEpoch| epoch.time - time <= BASE_LATER_S;
         let end = self.epochs.partition_point(is_past);
@@ -70,7 +70,7 @@ impl BaseView {
         (is_whole && has_site).then(|| self.input(used, epochs))
     }
 
-    /// Those of the base epochs of an earlier solution that are still stored.
+    /// The base epochs of an earlier solution that are still stored.
     pub(crate) fn remaining_input(&self, used: BaseUse) -> BaseInput {
         let above = |number: u64| self.epochs.partition_point(|epoch| epoch.number <= number);
         self.input(used, &self.epochs[above(used.after)..above(used.through)])
@@ -115,7 +115,7 @@ fn is_other(
 }
 
 impl BaseInput {
-    /// The epochs of a base that is not stored, such as that of a file.
+    /// The epochs of a base that is not stored, such as a base from a file.
     pub(crate) fn not_stored(aiding: BaseAiding<'_>) -> Self {
         Self {
             used: BaseUse { base: NOT_STORED, after: 0, through: 0 },
@@ -132,7 +132,7 @@ impl BaseInput {
         Some(BaseAiding { station, epochs: &self.epochs })
     }
 
-    /// Whether the epochs given before have another calibration of the antenna.
+    /// Whether the estimator received its last base epochs with another calibration of the antenna.
     pub(crate) const fn is_recalibrated(&self) -> bool {
         self.is_recalibrated
     }

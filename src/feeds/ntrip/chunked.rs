@@ -8,9 +8,9 @@ const SIZE_DIGITS: usize = 8;
 /// Which part of the body the next byte belongs to.
 #[derive(Debug)]
 enum Part {
-    /// The line with the size, of which these bytes have arrived.
+    /// The line with the size. These bytes of it have arrived.
     Size(Vec<u8>),
-    /// A chunk, of which this many bytes are missing.
+    /// A chunk. This many of its bytes are missing.
     Content(u32),
     /// The line end after a chunk.
     LineEnd,

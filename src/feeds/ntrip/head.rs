@@ -1,4 +1,4 @@
-//! The head of a caster's answer: its status, and where the stream begins.
+//! The head of a caster's answer: its status, and the position at which the stream begins.
 
 use std::time::Duration;
 

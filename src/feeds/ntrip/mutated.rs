@@ -69,7 +69,7 @@ fn heads_never_panic_and_are_read_as_they_arrive() {
             assert!(granted.length <= bytes.len() && granted.length <= HEAD_LIMIT);
         }
         assert!(!(matches!(whole, Ok(None)) && HEAD_LIMIT <= bytes.len()), "it waits for ever");
-        // What is granted of a part is granted of the whole.
+        // If a part of a head is already granted, the whole head is granted in the same way.
         let part = head::read(&bytes[..random.below(bytes.len() + 1)]);
         if let Ok(Some(of_part)) = part {
             assert_eq!(whole.ok().flatten(), Some(of_part));
