@@ -1,4 +1,4 @@
-//! What a tenant may still add to the files of its jobs.
+//! The bytes that a tenant may still add to the files of its jobs.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -8,17 +8,17 @@ use crate::tenant::Tenant;
 use super::JobError;
 use super::state::Desk;
 
-/// The bytes of files that a tenant has and may have, as one upload sees them: what others bring
-/// meanwhile counts for the next one.
+/// The bytes of files that a tenant has and may have, as read when an upload begins. Bytes that
+/// other uploads add meanwhile count only for later uploads.
 #[derive(Debug)]
 pub(super) struct Allowance {
     used: AtomicU64,
-    /// `None` for no limit.
+    /// Most bytes; `None` for no limit.
     limit: Option<u64>,
 }
 
 impl Desk {
-    /// What the files of a tenant's jobs may still take.
+    /// The bytes that the files of a tenant's jobs may still take.
     ///
     /// # Errors
     /// The tenant has used its quota, or the store fails.
@@ -39,10 +39,10 @@ impl Allowance {
         Self { used: AtomicU64::new(0), limit: None }
     }
 
-    /// Takes bytes.
+    /// Takes bytes of the allowance.
     ///
     /// # Errors
-    /// Fewer are left.
+    /// Fewer bytes are left.
     pub(super) fn take(&self, bytes: u64) -> Result<(), JobError> {
         let Some(limit) = self.limit else { return Ok(()) };
         let add = |used: u64| used.checked_add(bytes).filter(|used| *used <= limit);
@@ -50,7 +50,7 @@ impl Allowance {
         taken.map(drop).map_err(|used| QuotaError::JobFiles { used, limit }.into())
     }
 
-    /// Gives bytes back that became no file.
+    /// Gives bytes back that did not become a file.
     pub(super) fn give_back(&self, bytes: u64) {
         if self.limit.is_some() {
             self.used.fetch_sub(bytes, Ordering::AcqRel);

@@ -1,6 +1,6 @@
 //! Files that arrive, until they are stored under the hash of their content.
 //!
-//! What does not become an input leaves nothing: neither a file nor bytes in the space of all
+//! A file that does not become an input leaves nothing: no file, and no bytes in the space of all
 //! files or in the quota of the tenant.
 
 use std::fs;
@@ -16,12 +16,12 @@ use super::JobError;
 use super::allowance::Allowance;
 use super::files::{JobFiles, StoredFile};
 
-/// Files that arrive together. One that does not become a job leaves nothing.
+/// Files that arrive together. A file that does not become part of a job leaves nothing.
 pub struct Upload {
     files: Arc<JobFiles>,
     allowance: Arc<Allowance>,
     begun: usize,
-    /// `None` if the service fetches the files itself.
+    /// The right to upload; `None` if the service fetches the files itself.
     _permit: Option<OwnedSemaphorePermit>,
 }
 
@@ -33,8 +33,8 @@ pub struct ArrivingFile {
     leftover: Leftover,
 }
 
-/// A file and its bytes in the space of all files and in the tenant's quota, all of which are given
-/// up on drop.
+/// A file and its bytes in the space of all files and in the tenant's quota. On drop, the file is
+/// removed and the bytes are given back.
 struct Leftover {
     files: Arc<JobFiles>,
     allowance: Arc<Allowance>,
@@ -54,7 +54,7 @@ impl Upload {
         Ok(Self { _permit: permit, ..Self::fetch_to(files, allowance) })
     }
 
-    /// Begins to fetch files to a folder. It takes no part of the uploads.
+    /// Begins to fetch files to a folder. It does not count as an upload.
     pub(super) fn fetch_to(files: &Arc<JobFiles>, allowance: Allowance) -> Self {
         Self { files: files.clone(), allowance: Arc::new(allowance), begun: 0, _permit: None }
     }
@@ -81,7 +81,7 @@ impl Upload {
         Ok(())
     }
 
-    /// Begins a file that is not counted: another try of one that is.
+    /// Begins a file that is already counted, for another attempt.
     ///
     /// # Errors
     /// The disk fails.
@@ -140,7 +140,7 @@ impl ArrivingFile {
 
 impl Drop for Leftover {
     fn drop(&mut self) {
-        // Err: it is stored under its hash.
+        // Err: the file was moved to its hash.
         fs::remove_file(&self.path).ok();
         self.files.release(self.bytes);
         self.allowance.give_back(self.taken);

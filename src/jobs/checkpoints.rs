@@ -1,13 +1,13 @@
-//! Checkpoints: what a run leaves for the next one of its job, if it is cut off.
+//! Checkpoints: the data from which the next run of a job continues if a run is interrupted.
 //!
-//! They are a chain of parts in the files of jobs, `JOB-0`, `JOB-1` and so on. A part has the
+//! They are a chain of parts in the files of jobs: `JOB-0`, `JOB-1` and so on. A part has the
 //! answers since the part before it, the state of the estimator after them, and the hash of that
-//! part. The next run writes these answers as if it had computed them, so the result has the same
-//! bytes, whatever its format.
+//! part. The next run writes these answers as if it had computed them. So the result has the same
+//! bytes in every format.
 //!
-//! A process that was frozen may write a part of a job that is another's meanwhile. Its part
-//! belongs to the same computation, so any part that continues the one before it is right. One that
-//! does not ends the chain.
+//! A process that was suspended may write a part of a job that another process has claimed
+//! meanwhile. Its part belongs to the same computation, so any part that continues the part before
+//! it is right. A part that does not continue it ends the chain.
 
 use std::time::{Duration, Instant};
 
@@ -20,12 +20,12 @@ use super::named::checkpoint_name;
 
 /// Layout of a part. Raise it when its content changes.
 const LAYOUT: u16 = 1;
-/// Encoded answers after which a part is written before its time (bytes).
+/// Size of encoded answers from which a part is written before its interval is over (bytes).
 const PART_BYTES: usize = 8 << 20;
-/// Version of this program. Another one may compute other bits, so it begins again.
+/// Version of this program. Another version may compute other bits, so it begins the job again.
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
-/// A chain, and what the next part will have.
+/// A chain, and the answers for its next part.
 pub(super) struct Checkpoints {
     job: String,
     interval: Duration,
@@ -39,13 +39,13 @@ pub(super) struct Checkpoints {
     written: Instant,
 }
 
-/// What a chain has for the next run.
+/// What the next run continues from.
 pub(super) struct Found {
     /// Number of parts.
     pub(super) parts: u64,
-    /// State after the last one.
+    /// State of the estimator after the last part.
     pub(super) state: Vec<u8>,
-    /// Time that the runs before have taken (s).
+    /// Time that the earlier runs have taken (s).
     pub(super) seconds: f64,
 }
 
@@ -58,7 +58,7 @@ struct Part<'a> {
 }
 
 impl Checkpoints {
-    /// A chain without parts. One is due each `interval`.
+    /// A chain without parts. A part is due after each `interval`.
     pub(super) fn new(job: String, interval: Duration) -> Self {
         Self {
             job,
@@ -71,7 +71,7 @@ impl Checkpoints {
         }
     }
 
-    /// The parts that are stored for its job, if there are any. The chain stays without parts.
+    /// The stored parts of its job, if there are any. The chain itself stays without parts.
     ///
     /// # Errors
     /// The disk or the bucket fails.
@@ -93,7 +93,7 @@ impl Checkpoints {
         Ok(found)
     }
 
-    /// Takes the next stored part into the chain. Returns its answers; `None` if it is not there
+    /// Adds the next stored part to the chain. Returns its answers; `None` if the part is not there
     /// any more.
     ///
     /// # Errors
@@ -103,7 +103,7 @@ impl Checkpoints {
         files: &JobFiles,
     ) -> Result<Option<Vec<Solution>>, JobError> {
         let Some(bytes) = files.checkpoint(&self.next_name()).await? else { return Ok(None) };
-        // Err: another process has written it meanwhile.
+        // Err: another process has replaced it meanwhile.
         let Ok(answers) = self.read(&bytes).and_then(|part| part.answers()) else {
             return Ok(None);
         };
@@ -122,12 +122,12 @@ impl Checkpoints {
         PART_BYTES <= self.encoded.size() || self.interval <= self.written.elapsed()
     }
 
-    /// Writes a part with the answers since the last one, the state after them, and the time that
-    /// this run and those before have taken (s).
+    /// Writes a part with the answers since the last part, the state after them, and the time that
+    /// this run and the earlier ones have taken (s).
     ///
     /// # Errors
-    /// The space of all files is used up, or the disk or the bucket fails. The answers are lost, so
-    /// nothing may be written after that.
+    /// The space of all files is used up, or the disk or the bucket fails. The answers are then
+    /// lost, so no further part may be written.
     pub(super) async fn write(
         &mut self,
         files: &JobFiles,
@@ -205,7 +205,7 @@ mod tests {
         times_ns.map(|ns| Solution::none(GpsTime::from_ns(ns), Vec::new())).collect()
     }
 
-    /// Writes a part with these answers, and its number as the state.
+    /// Writes a part with these answers. Its state is its number.
     async fn write(chain: &mut Checkpoints, files: &JobFiles, times_ns: std::ops::Range<i64>) {
         answers(times_ns).iter().for_each(|answer| chain.add(answer));
         let state = [chain.parts as u8];
@@ -244,8 +244,8 @@ mod tests {
         files.reserve(1 << 20).unwrap();
     }
 
-    /// A part of a frozen process takes the place of one: the chain ends after it, as the next part
-    /// continues another one.
+    /// A part of a suspended process replaces another one. The chain ends after it, because the
+    /// next part continues the replaced one.
     #[tokio::test]
     async fn a_part_that_continues_another_one_ends_the_chain() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! The content of the files of jobs: inputs and checkpoints for a run, results for users.
 //!
-//! An input of a bucket is fetched to a file without a name, and checked by its hash, before a run
-//! reads it. A result of a bucket is passed on as it comes. Checkpoints and figures are in memory
+//! An input in a bucket is fetched to a file without a name, and checked by its hash, before a run
+//! reads it. A result in a bucket is passed on as it arrives. Checkpoints and figures are in memory
 //! as a whole.
 
 use std::fs::{self, File};
@@ -20,7 +20,7 @@ use super::bucket::{Bucket, BucketError, Listed, Patience};
 use super::files::{CHECKPOINTS, INPUTS, JobFiles, RESULTS, sync};
 use super::named::{checkpoint_name, figures_name};
 
-/// Chunks between the bucket and who takes them.
+/// Most chunks between the bucket and the reader.
 const CHUNKS: usize = 4;
 /// Bytes of a result that are read from the folder at a time.
 pub const RESULT_CHUNK_BYTES: usize = 64 << 10;
@@ -29,16 +29,16 @@ pub(super) const FIGURES_BYTES: usize = 1 << 20;
 /// Most memory of the page of a report while it is made (bytes): its figures, and the page.
 pub const PAGE_BYTES: usize = 3 * FIGURES_BYTES;
 
-/// The bytes of a result, from the first one on.
+/// The bytes of a result, from its first byte on.
 pub struct ResultContent(Content);
 
 enum Content {
     File(tokio::fs::File),
     Bucket {
-        /// What was taken already, to see whether there is anything.
+        /// The chunk that was read first, to check that the object can be read.
         first: Option<Bytes>,
         chunks: mpsc::Receiver<Bytes>,
-        /// Sends them; `None` once it has ended.
+        /// The task that sends the chunks; `None` once it has ended.
         sending: Option<JoinHandle<Result<(), BucketError>>>,
     },
 }
@@ -47,7 +47,7 @@ impl JobFiles {
     /// Opens an input of this size.
     ///
     /// # Errors
-    /// It cannot be read, or its content is another one.
+    /// It cannot be read, or its content has another hash.
     pub(super) async fn open_input(&self, hash: &str, bytes: u64) -> Result<File, JobError> {
         match self.bucket() {
             Some(bucket) => self.fetched(bucket, hash, bytes).await,
@@ -136,7 +136,7 @@ impl JobFiles {
         }
     }
 
-    /// Stores a checkpoint, in place of any other of this name. It is durable when this returns.
+    /// Stores a checkpoint, and replaces one of the same name. It is durable when this returns.
     ///
     /// # Errors
     /// The space of all files is used up, or the disk or the bucket fails.
@@ -148,7 +148,7 @@ impl JobFiles {
         self.store_whole(CHECKPOINTS, name, content).await
     }
 
-    /// Stores the figures of a result. They are removed with it.
+    /// Stores the figures of a result. They are removed together with the result.
     ///
     /// # Errors
     /// The space of all files is used up, or the disk or the bucket fails.
@@ -156,7 +156,7 @@ impl JobFiles {
         self.store_whole(RESULTS, &figures_name(result), content.as_bytes()).await
     }
 
-    /// Stores a small file, in place of any other of this name.
+    /// Stores a small file, and replaces one of the same name.
     async fn store_whole(&self, inside: &str, name: &str, content: &[u8]) -> Result<(), JobError> {
         let bytes = content.len() as u64;
         self.reserve(bytes)?;
@@ -175,7 +175,7 @@ impl JobFiles {
         stored.inspect_err(|_| self.release(bytes))
     }
 
-    /// Writes a small file to the folder: what has its name is whole.
+    /// Writes a small file to the folder. A file with this name is always complete.
     fn write_whole(&self, inside: &str, name: &str, content: &[u8]) -> Result<(), JobError> {
         let path = self.folder().join(inside).join(name);
         let before = fs::metadata(&path).map_or(0, |metadata| metadata.len());
@@ -187,14 +187,15 @@ impl JobFiles {
             })
             .and_then(|()| fs::rename(&begun, &path))
             .and_then(|()| sync(&self.folder().join(inside)));
-        // Err: it has its name, or was not begun.
+        // Err: it has its final name, or was never created.
         fs::remove_file(begun).ok();
         written.map_err(JobError::disk("writing a small file"))?;
         self.release(before);
         Ok(())
     }
 
-    /// Removes the checkpoints of a job. What cannot be removed is removed once it is old.
+    /// Removes the checkpoints of a job. Those that cannot be removed now are removed once they are
+    /// old.
     pub(super) async fn remove_checkpoints(&self, job: &str) {
         let Some(bucket) = self.bucket() else {
             for part in 0.. {
@@ -224,12 +225,11 @@ impl JobFiles {
         self.folder().join(CHECKPOINTS).join(name)
     }
 
-    /// Removes a result with its figures, and gives their bytes up, of which the result has
-    /// `bytes`.
+    /// Removes a result of `bytes` bytes with its figures, and gives their space back.
     pub(super) async fn remove_result(&self, name: &str, bytes: u64) {
         let figures = figures_name(name);
         match self.bucket() {
-            // Err: it is removed once it is old, as no job names it.
+            // Err: the object is removed once it is old, because no job names it.
             Some(bucket) => {
                 drop(bucket.delete(&format!("{RESULTS}/{name}")).await);
                 let figures = format!("{RESULTS}/{figures}");
@@ -239,7 +239,7 @@ impl JobFiles {
                     self.release(bytes);
                 }
             }
-            // Err: it was not written.
+            // Err: the file was not written.
             None => {
                 drop(fs::remove_file(self.result(name)));
                 self.remove_from_results(&figures);
@@ -248,7 +248,7 @@ impl JobFiles {
         self.release(bytes);
     }
 
-    /// Removes a file of the folder's results, and gives its bytes up.
+    /// Removes a file of the folder's results, and gives its space back.
     pub(super) fn remove_from_results(&self, name: &str) {
         let path = self.result(name);
         let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
@@ -257,7 +257,7 @@ impl JobFiles {
         self.release(bytes);
     }
 
-    /// Opens a result of this size. Its first bytes are there when this returns.
+    /// Opens a result of this size. When it returns, the first bytes have arrived.
     ///
     /// # Errors
     /// It cannot be read.

@@ -1,7 +1,7 @@
-//! The task that tells webhooks of the ends of jobs.
+//! The task that informs webhooks of the ends of jobs.
 //!
 //! Each attempt has a row before it is made. A message is delivered at least once: if the service
-//! stops in an attempt, nobody knows whether the host has taken it, and another one follows.
+//! stops during an attempt, the outcome is unknown, and another attempt follows.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -24,19 +24,19 @@ use super::webhook::WebhookSecret;
 
 /// Interval at which the store is asked for messages that are due.
 const ASK: Duration = Duration::from_secs(1);
-/// Attempts at the same time, and those for one tenant.
+/// Most attempts at the same time, and most of them for one tenant.
 const ATTEMPTS: usize = 8;
 const OF_TENANT: usize = 2;
 /// Longest delay between two attempts, unless the host asks for a longer one.
 const DELAY_CEILING: Duration = Duration::from_secs(3600);
-/// Time after which an attempt that nobody has ended is followed by another one (ms). Longer than
-/// an attempt takes.
+/// Time after which an attempt without an end is followed by another (ms). It is longer than an
+/// attempt takes.
 const FORGOTTEN_MS: i64 = 120_000;
 const MS_PER_HOUR: i64 = 3_600_000;
-/// A host that answers with it wants no further attempt (RFC 9110, 15.5.11).
+/// Status of a host that wants no further attempt (RFC 9110, 15.5.11).
 const GONE: u16 = 410;
 
-/// Delivers messages until the service stops. Attempts that have begun are ended first.
+/// Delivers messages until the service stops. It waits for the attempts that have begun.
 pub(super) async fn deliver(desk: Arc<Desk>) {
     let (mut attempts, mut busy) = (JoinSet::new(), HashMap::new());
     let mut look = interval(ASK);
@@ -92,7 +92,7 @@ async fn begin(
     Ok(())
 }
 
-/// Makes an attempt and stores what it has come to.
+/// Makes an attempt and stores its outcome.
 async fn attempt(desk: Arc<Desk>, due: DueWebhook, begun_unix_ms: i64) {
     let DueWebhook { job, secret, attempt } = due;
     let connector = desk.connector.of(&job.tenant);
@@ -110,14 +110,14 @@ async fn attempt(desk: Arc<Desk>, due: DueWebhook, begun_unix_ms: i64) {
         http_status: made.http_status,
         failure: made.failure.map(|(code, message)| (code.name().to_owned(), message)),
     };
-    // Err: the message is due again after some time.
+    // Err: the message is due again later.
     if let Err(error) = desk.store.end_delivery(key, &attempt, end).await {
         tracing::warn!(%error, job = %id, "the end of a delivery is not stored");
     }
     desk.changed();
 }
 
-/// What an attempt has come to.
+/// The outcome of an attempt.
 #[derive(Debug)]
 struct Made {
     http_status: Option<u16>,
@@ -130,7 +130,8 @@ impl Made {
         Self { http_status: None, failure: Some((code, message)), retry_after: None }
     }
 
-    /// What follows. `ended` is when the job ended (ms since 1970-01-01 UTC).
+    /// What follows the attempt. `ended` is the time at which the job ended (ms since 1970-01-01
+    /// UTC).
     fn end(
         &self,
         attempt: u32,
@@ -183,7 +184,7 @@ async fn sent(connector: &Connector, job: &JobInfo, secret: &str, unix_ms: i64) 
     Made { http_status, failure, retry_after: posted.retry_after }
 }
 
-/// Attempts to tell the webhook of a job, as they are stored.
+/// The stored attempts to inform the webhook of a job.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deliveries {
     /// The job.
@@ -194,7 +195,7 @@ pub struct Deliveries {
     pub next_unix_ms: Option<i64>,
 }
 
-/// The attempts to tell the webhook of a job of a tenant.
+/// The attempts to inform the webhook of a job of a tenant.
 ///
 /// # Errors
 /// The tenant has no such job, or the store fails.
@@ -216,7 +217,7 @@ mod tests {
         Made { http_status, failure, retry_after }
     }
 
-    /// The delays double up to an hour; number and time of the attempts are bounded.
+    /// The delays double up to an hour. The number of attempts and their time are bounded.
     #[test]
     fn attempts_come_later_and_later_and_end() {
         let limits = JobsConfiguration::standard();

@@ -30,15 +30,15 @@ use super::webhook::Webhook;
 
 /// A file of an upload.
 pub struct UploadedFile {
-    /// What it is for.
+    /// The part that the file is for.
     pub part: Part,
-    /// Its name at the user.
+    /// Name of the file on the user's side.
     pub name: String,
     /// The file.
     pub file: StoredFile,
 }
 
-/// What a job is asked for, and with what.
+/// A request for a job: its options and inputs.
 pub struct Submission {
     /// The options.
     pub options: JobOptions,
@@ -46,9 +46,9 @@ pub struct Submission {
     pub files: Vec<UploadedFile>,
     /// URLs in place of files.
     pub urls: Vec<InputUrl>,
-    /// Who is told of its end.
+    /// The webhook that is informed of its end.
     pub webhook: Option<Webhook>,
-    /// Names the request.
+    /// Name of the request, so that a repetition creates no second job.
     pub idempotency_key: Option<String>,
 }
 
@@ -61,8 +61,8 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Opens the desk for the operator's jobs, and starts its tasks. On SQLite, jobs that another
-    /// start of the service has left running are queued again.
+    /// Opens the desk for the operator's jobs, and starts its tasks. On SQLite it queues the jobs
+    /// again that an earlier process has left running.
     ///
     /// # Errors
     /// The store or the folder cannot be read, or another node of the cluster has another folder.
@@ -112,8 +112,8 @@ impl Jobs {
     /// Begins an upload of files.
     ///
     /// # Errors
-    /// The service takes no jobs, as many uploads or jobs as allowed are on their way, the tenant
-    /// has used its quota of bytes, or the store fails.
+    /// The service takes no jobs, the limit of uploads or of jobs is reached, the tenant has used
+    /// its quota of bytes, or the store fails.
     pub async fn upload(&self) -> Result<Upload, JobError> {
         let files = self.desk.files()?;
         self.check_waiting().await?;
@@ -121,7 +121,7 @@ impl Jobs {
     }
 
     /// Queues a job. Returns it, and whether it is new: a repetition with the same idempotency key
-    /// is not.
+    /// returns the earlier job.
     ///
     /// # Errors
     /// The rover's part is missing, an option does not exist or does not fit, the tenant has no
@@ -178,8 +178,8 @@ impl Jobs {
         Ok((job, is_new))
     }
 
-    /// The job that the same request with this idempotency key has created, if it is kept. What
-    /// the request names, such as a session, may be gone since then.
+    /// The job that the same request with this idempotency key has created, if it still exists. The
+    /// session or other objects that the request names may no longer exist.
     async fn created_by(
         &self,
         idempotency_key: Option<&str>,
@@ -190,7 +190,7 @@ impl Jobs {
         row.map(|row| same_request(row, request_hash)).transpose()
     }
 
-    /// What a job takes of its session, if it has one.
+    /// The part of a job's input that comes from its session, if it has one.
     async fn session_input(&self, request: &JobRequest) -> Result<Option<SessionInput>, JobError> {
         let Some((id, rerun)) = request.options.rerun(request.has_base())? else { return Ok(None) };
         let aiding = self.desk.aiding().await.map_err(SessionError::from)?;
@@ -235,8 +235,8 @@ impl Jobs {
         self.get(id).await
     }
 
-    /// Deletes a job that has ended, with its result, by a call of `author`. A message that waits
-    /// for its webhook is given up. Returns the job as it was.
+    /// Deletes a job that has ended, with its result, by a call of `author`. If its webhook still
+    /// waits for the message, the message is given up. Returns the job as it was.
     ///
     /// # Errors
     /// No job has this id, it has not ended, or the store fails.
@@ -260,7 +260,7 @@ impl Jobs {
         Ok(job)
     }
 
-    /// The number of changes of all jobs. It wakes whoever watches one.
+    /// The number of changes of all jobs. Each change wakes the watches of jobs.
     pub fn changes(&self) -> watch::Receiver<u64> {
         self.desk.changes.subscribe()
     }
@@ -290,7 +290,7 @@ impl Jobs {
         }
     }
 
-    /// The attempts to tell the webhook of a job.
+    /// The attempts to inform the webhook of a job.
     ///
     /// # Errors
     /// No job has this id, or the store fails.
@@ -303,13 +303,13 @@ impl Jobs {
         self.desk.clock.unix_ms()
     }
 
-    /// For how long a job that has ended is kept (ms).
+    /// Time for which a job is kept after its end (ms).
     pub fn kept_ms(&self) -> i64 {
         i64::from(self.desk.limits.keep_hours) * 3_600_000
     }
 
-    /// Removes jobs that ended longer ago than they are kept, and files without a job. The desk
-    /// does so every ten minutes.
+    /// Removes jobs whose end is longer ago than they are kept, and files without a job. The desk
+    /// does this every ten minutes.
     ///
     /// # Errors
     /// The store or the disk fails.
@@ -317,7 +317,7 @@ impl Jobs {
         queue::remove_expired(&self.desk).await
     }
 
-    /// Stops the running jobs, which are queued again.
+    /// Stops the running jobs, and queues them again.
     pub async fn close(&self) {
         self.desk.stop_all();
         let mut tasks = {

@@ -84,7 +84,7 @@ pub enum JobError {
     /// The session cannot be positioned as asked.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// The host of a URL may not be contacted, or it is no URL.
+    /// The text is not a URL, or the operator does not allow its host.
     #[error("{error}")]
     Fetch {
         /// The field with the URL.
@@ -137,13 +137,13 @@ pub enum JobError {
         /// Id of the upload.
         id: String,
     },
-    /// Bytes would be appended elsewhere than at the end.
+    /// The bytes of a request do not begin at the end of the upload.
     #[error("{offset} bytes of the upload are stored")]
     UploadOffset {
         /// Number of bytes that are stored.
         offset: u64,
     },
-    /// More bytes than the upload's length. None of the request's is stored.
+    /// The request has more bytes than the upload still needs. None of them is stored.
     #[error("the bytes go beyond the {length} bytes with which the upload began")]
     UploadTooLong {
         /// Size of the file (bytes).
@@ -159,16 +159,16 @@ pub enum JobError {
         /// Size of the file (bytes).
         length: u64,
     },
-    /// A worker on a database that one process writes to.
+    /// A worker cannot use a SQLite database, because only one process writes to it.
     #[error("a worker takes no jobs from SQLite, whose file one process writes to")]
     WorkerOnSqlite,
-    /// A worker without the service's folder of jobs.
+    /// The folder of a worker is not the service's folder of jobs.
     #[error("{folder} is not the service's folder of jobs")]
     FolderDiffers {
         /// The worker's folder.
         folder: String,
     },
-    /// A node without the folder of jobs of another node.
+    /// The folder of a node is not the one of another node.
     #[error("{folder} is not the folder of jobs of node {node}, whose file is not there")]
     FolderNotShared {
         /// The folder of this node.

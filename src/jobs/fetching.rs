@@ -1,7 +1,7 @@
-//! The task that fetches the inputs of jobs that are URLs, and adds those that the service has of
-//! its own. A job waits until all are stored.
+//! The task that fetches the inputs of jobs that are given as URLs, and adds ephemerides and a base
+//! of the service. A job waits until all inputs are stored.
 //!
-//! Nothing of it is stored before all inputs are: after a restart they are fetched again.
+//! Its row is not changed before all inputs are stored: after a restart they are fetched again.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -35,10 +35,10 @@ struct Fetch {
     running: Arc<Running>,
 }
 
-/// Jobs whose inputs are fetched at the same time, and those of one tenant.
+/// Most jobs whose inputs are fetched at the same time, and most of them of one tenant.
 const FETCHES: usize = 4;
 const OF_TENANT: usize = 2;
-/// Chunks between the host and the disk.
+/// Most chunks between the host and the disk.
 const CHUNKS: usize = 4;
 /// Longest name of an input (characters).
 const NAME_MAX: usize = 200;
@@ -87,7 +87,7 @@ async fn begin(desk: &Arc<Desk>, fetches: &mut JoinSet<()>, busy: &mut HashMap<I
     }
 }
 
-/// Fetches the inputs of a job, and lets it be computed, or ends it.
+/// Fetches the inputs of a job. Then the job can be claimed, or it fails.
 async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
     let (key, id) = (row.key, row.id.clone());
     let fetched = inputs(&desk, row, &running).await;
@@ -104,7 +104,7 @@ async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
             desk.store.fail_unfetched_job(key, &failure, desk.clock.unix_ms()).await
         }
     };
-    // Err: its inputs are fetched again.
+    // Err: its inputs will be fetched again.
     if let Err(error) = stored {
         tracing::warn!(%error, job = %id, "that the inputs of a job are fetched is not stored");
     }
@@ -162,7 +162,7 @@ impl Unfetched {
         }
     }
 
-    /// The delay before the next try; `None` if there is no other.
+    /// The delay before the next attempt; `None` if there is none.
     fn delay(&self, tries: &mut Tries) -> Option<Duration> {
         match self {
             Self::Web(error) => tries.delay_after(error),
@@ -171,7 +171,7 @@ impl Unfetched {
     }
 }
 
-/// Fetches a file, with several tries; `None` if the job is stopped.
+/// Fetches a file, with several attempts; `None` if the job is stopped.
 async fn tried(
     (desk, connector): (&Desk, &Connector),
     upload: &mut Upload,
@@ -227,12 +227,12 @@ async fn fetched(
     file.finish().await.map_err(Unfetched::Job)
 }
 
-/// A URL in place of an uploaded file.
+/// A URL that is given instead of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct InputUrl {
-    /// What the file is for.
+    /// The part that the file is for.
     pub part: Part,
-    /// Where it is.
+    /// The URL of the file.
     pub url: String,
 }
 
@@ -240,7 +240,7 @@ impl InputUrl {
     /// The input of a job whose file is not fetched yet.
     ///
     /// # Errors
-    /// It is no URL, or the operator does not list the host.
+    /// The text is not a URL, or the operator does not list its host.
     pub(super) fn input(&self, connector: &Connector) -> Result<JobInput, JobError> {
         let refused = |error| JobError::Fetch { field: "options.urls", error };
         let url: Url = self.url.parse().map_err(refused)?;

@@ -6,7 +6,7 @@ use crate::store::{JobProgress, JobRow, JobState, StoreError, WebhookState};
 use super::request::{JobRequest, Part};
 use super::{Failure, Report};
 
-/// What a [`JobId`] is the id of.
+/// Marks an [`Id`] as a job's.
 #[derive(Debug)]
 pub struct OfJob;
 
@@ -31,9 +31,9 @@ pub struct JobResult {
 pub struct JobInfo {
     /// Its id.
     pub id: JobId,
-    /// What it is doing.
+    /// Its state.
     pub state: JobState,
-    /// What it was asked for.
+    /// Its options and inputs.
     pub request: JobRequest,
     /// When it arrived (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
@@ -49,7 +49,7 @@ pub struct JobInfo {
     pub report: Option<Report>,
     /// Why it has failed.
     pub failure: Option<Failure>,
-    /// What has become of the message to its webhook; `None` without one.
+    /// State of the message to its webhook; `None` without a webhook.
     pub webhook_state: Option<WebhookState>,
 }
 
@@ -78,10 +78,10 @@ impl JobInfo {
         })
     }
 
-    /// How much of the rover's file or of the session is read (%). It is 100 only once the result
-    /// is stored.
+    /// The part of the rover's file or of the session that is read (%). It becomes 100 only when
+    /// the result is stored.
     pub fn percent(&self) -> f64 {
-        /// The most that a job without result shows.
+        /// The highest value of a job without a result.
         const NOT_DONE: f64 = 99.0;
         if self.state == JobState::Succeeded {
             return 100.0;
@@ -89,7 +89,7 @@ impl JobInfo {
         (self.progress.read_bytes as f64 / self.total() as f64 * 100.0).min(NOT_DONE)
     }
 
-    /// Bytes of the rover's file, or numbers of the session's epochs.
+    /// Bytes of the rover's file, or the count of the session's epoch numbers.
     fn total(&self) -> u64 {
         match &self.request.session {
             None => self.request.input(Part::Rover).map_or(0, |rover| rover.bytes).max(1),
@@ -103,8 +103,8 @@ impl JobInfo {
         Some((end - self.started_unix_ms?).max(0) as f64 / 1e3)
     }
 
-    /// Epochs a second of the present or last run, without those that it has taken over from
-    /// earlier ones.
+    /// Epochs per second of the present or last run, without the epochs that it has taken over from
+    /// an earlier run.
     pub fn epochs_per_second(&self, now_unix_ms: i64) -> Option<f64> {
         let elapsed_s = self.elapsed_s(now_unix_ms).filter(|elapsed_s| 0.0 < *elapsed_s)?;
         let JobProgress { epochs, resumed_epochs, .. } = self.progress;
@@ -112,7 +112,7 @@ impl JobInfo {
     }
 
     /// Estimated time until a running job ends (s), from the part of the rover's file or of the
-    /// session that its present run has read.
+    /// session that the present run has read so far.
     pub fn remaining_s(&self, now_unix_ms: i64) -> Option<f64> {
         let JobProgress { read_bytes, resumed_bytes, .. } = self.progress;
         let read = Some(read_bytes.saturating_sub(resumed_bytes)).filter(|read| 0 < *read)?;
@@ -131,7 +131,7 @@ mod tests {
     use super::super::request::{BaseOrigin, JobInput, JobOptions};
     use super::*;
 
-    /// A job that runs since 5 s, of a file of 1000 bytes.
+    /// A job that has been running for 5 s, with a file of 1000 bytes.
     fn running(progress: JobProgress) -> JobInfo {
         let rover = JobInput {
             part: Part::Rover,
@@ -172,7 +172,7 @@ mod tests {
         }
     }
 
-    /// A run that went on at 600 of 1000 epochs, and has computed 100 in ten seconds.
+    /// A run that continued at 600 of 1000 epochs, and has computed 100 in ten seconds.
     #[test]
     fn rate_and_time_left_are_those_of_the_present_run() {
         let (resumed_epochs, resumed_bytes) = (600, 600);

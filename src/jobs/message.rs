@@ -1,4 +1,4 @@
-//! The message that tells a webhook of the end of a job.
+//! The message that informs a webhook of the end of a job.
 
 use bytes::Bytes;
 use serde_json::json;
@@ -17,7 +17,7 @@ pub(super) struct Message {
 }
 
 impl Message {
-    /// The message that tells of the end of a job. All attempts have the same id and body.
+    /// The message for the end of a job. All attempts have the same id and body.
     ///
     /// # Errors
     /// The URL is invalid.

@@ -2,27 +2,27 @@
 //! and a report out.
 //!
 //! A job is computed by `recording`, as `graphfix solve` computes files, and gives the same bytes.
-//! A session can stand in place of the rover's file; its epochs are computed by `session`, as in a
-//! replay. The queue is in the store; this desk has its files, and a task for each job that may run
-//! at the same time. Workers, processes of their own, may run jobs, too.
+//! Instead of the rover's file a job can have a session; its epochs are computed by `session`, as
+//! in a replay. The queue is in the store. This desk has the files, and one task for each job that
+//! may run at the same time. Workers, which are other processes, may run jobs, too.
 //!
-//! - **Uploads** stream to files that are named after the hash of their content; equal files are
-//!   one.
-//! - **Uploads of several requests** go on after a break, by the bytes that are stored.
-//! - **URLs** in place of files are fetched to such files before their job can run. So is what a
-//!   job lacks and the service has: ephemerides and a base.
+//! - **Uploads** are streamed to files that are named after the hash of their content; equal files
+//!   are stored once.
+//! - **Uploads of several requests** continue after an interruption, from the last stored byte.
+//! - **URLs** instead of files are fetched to such files before their job can run. In the same way
+//!   the service adds what a job lacks and the service has: ephemerides and a base.
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
-//!   pool, in the lane of the lowest share, so that live sessions come first.
+//!   pool, in the lane with the lowest share, so that live sessions have priority.
 //! - **The end** of a job is written with the fence of its claim. A run that was cancelled, or
-//!   claimed by another, ends nothing: its result is removed.
-//! - **A webhook** is told of the end of its job, with a signature, until its host takes the
-//!   message or as many attempts as allowed have failed.
-//! - **A bucket** of an S3 service can have the files in place of the folder.
+//! whose job another process has claimed, writes no end: its result is removed. - **A webhook** is
+//! informed of the end of its job by a signed message, until its host accepts the message or the
+//! allowed number of attempts has failed.
+//! - **A bucket** of an S3 service can contain the files instead of the folder.
 //! - **Nodes of a cluster** share the folder or the bucket. Each takes, runs and answers jobs; the
-//!   one that leads fetches, and removes what has expired.
-//! - **A process that ends or is frozen** loses its jobs, after some time without heartbeat. The
-//!   next run goes on after the last **checkpoint**, with the same bits. A batch, which is answered
-//!   as a whole, is computed again from the beginning.
+//!   leader fetches inputs, and removes what has expired.
+//! - **A process that ends or is suspended** loses its jobs after some time without heartbeat. The
+//!   next run continues after the last **checkpoint**, with the same bits. A batch, which is
+//!   answered as a whole, is computed again from the beginning.
 
 mod allowance;
 mod arriving;

@@ -1,4 +1,4 @@
-//! Which files of the folder jobs name, in the store.
+//! The files in the folder that jobs name, according to the store.
 
 use std::collections::{HashMap, HashSet};
 
@@ -10,11 +10,11 @@ use super::request::JobRequest;
 /// End of the name of a result's figures.
 const FIGURES: &str = "-figures";
 
-/// What jobs name of the folder.
+/// The files in the folder that jobs name.
 #[derive(Debug, Default)]
 pub(super) struct Named {
     files: HashSet<String>,
-    /// By job that has not ended, the number of its last claim.
+    /// The number of the last claim of each job that has not ended.
     fences: HashMap<String, i64>,
 }
 
@@ -27,7 +27,7 @@ impl Named {
         let mut named = Self::default();
         for row in store.job_files().await? {
             named.files.extend(row.result);
-            // A request that cannot be read is reported where its job is.
+            // A request that cannot be read is reported when its job is read.
             let request: Option<JobRequest> = serde_json::from_str(&row.request).ok();
             named
                 .files
@@ -52,8 +52,9 @@ impl Named {
         Self { files: files.into(), fences: fences.into() }
     }
 
-    /// Whether a job names the file, or its last claim, or a later one, writes it, or it is a
-    /// checkpoint of a job that has not ended. Figures are named with their result.
+    /// Whether the file belongs to a stored job: a job names it; or it is a result that the last
+    /// claim, or a later one, of a job writes; or it is a checkpoint of a job that has not ended.
+    /// Figures belong to the same job as their result.
     pub(super) fn has(&self, file: &str) -> bool {
         let file = file.strip_suffix(FIGURES).unwrap_or(file);
         let writes = || {

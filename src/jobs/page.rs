@@ -9,7 +9,7 @@ use super::request::{BaseOrigin, JobInput, Part};
 use super::{JobError, Report};
 
 impl Jobs {
-    /// The report of a job that has succeeded as a page that needs no other file.
+    /// The report of a job that has succeeded, as an HTML page that needs no other file.
     ///
     /// # Errors
     /// No job has this id, it has not ended or has no result, or the store, the disk or the bucket
@@ -38,7 +38,7 @@ fn page(job: &JobInfo, report: &Report) -> RunPage {
     }
 }
 
-/// The rover's file, or the session.
+/// The title: the rover's file, or the session.
 fn title(job: &JobInfo) -> String {
     let session = job.request.options.session.as_ref();
     match (job.request.input(Part::Rover), session) {
@@ -48,11 +48,11 @@ fn title(job: &JobInfo) -> String {
     }
 }
 
-/// What was asked for, with which files, when, and what computed it.
+/// Request, files, times and program version of a job.
 fn facts(job: &JobInfo, report: &Report) -> Vec<(String, String)> {
     let (request, options) = (&job.request, &job.request.options);
     let session = request.session.as_ref();
-    // What was left out is that of the session.
+    // An omitted option is that of the session.
     let name = |own: &String, of_session: Option<&String>| match own.is_empty() {
         true => of_session.cloned().unwrap_or_default(),
         false => own.clone(),
@@ -95,7 +95,7 @@ fn facts(job: &JobInfo, report: &Report) -> Vec<(String, String)> {
     given.map(|(name, value)| (name.to_owned(), value)).collect()
 }
 
-/// A file by its name and origin.
+/// A file as text: its name and origin.
 fn file(input: &JobInput) -> String {
     match (&input.url, input.is_own) {
         (Some(url), _) => format!("{}, fetched from {url}", input.name),

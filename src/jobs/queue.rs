@@ -1,5 +1,5 @@
-//! The tasks of the queue: each claims a job, runs it, writes its heartbeat, and ends it; others
-//! remove what has expired, and count the files.
+//! The tasks of the queue. One kind claims a job, runs it, writes its heartbeat, and ends it;
+//! others remove what has expired, and count the files.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use super::report::Failure;
 use super::run::{Done, Ended, Run, failed};
 use super::state::{Desk, Running};
 
-/// Interval at which the queue is asked for jobs of which no one told.
+/// Interval at which the queue is read, for jobs that another process has queued.
 const ASK: Duration = Duration::from_secs(1);
 /// Interval of heartbeats.
 const BEAT: Duration = Duration::from_secs(1);
-/// Claims of a job that are lost before it fails: it may be what ends the processes.
+/// Number of lost claims after which a job fails, because the job itself may end the processes.
 const LOST_CLAIMS: u64 = 5;
-/// Interval at which the files of the folder are counted again: others write there, too.
+/// Interval at which the files are counted again, because other processes write them, too.
 const COUNT: Duration = Duration::from_secs(30);
 /// Delay after a failure of the database.
 const RETRY: Duration = Duration::from_secs(1);
@@ -86,7 +86,8 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
             (JobEnd::Failed { failure }, None)
         }
         Err(Ended::Stopped) => {
-            // A claim that has ended cannot be returned. Err: it is lost by its silence.
+            // A claim that has ended cannot be returned. Err: the claim is lost by its missing
+            // heartbeat.
             desk.store.return_job(claim).await.ok();
             return desk.end(&id);
         }
@@ -95,8 +96,8 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     if let (Some(true), Ok(files)) = (is_ended, desk.files()) {
         files.remove_checkpoints(&id).await;
     }
-    // Whoever has ended the job before does not name this file. If nobody knows, it is removed once
-    // it is old.
+    // If the job has ended before, its row does not name this file. If that is unknown, the file is
+    // removed once it is old.
     if let (Some(false), Some(bytes), Ok(files)) = (is_ended, bytes, desk.files()) {
         files.remove_result(&name, bytes).await;
     }
@@ -104,8 +105,8 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     desk.changed();
 }
 
-/// Ends a claim, as soon as the database does. Returns whether it had not ended before; `None` if
-/// nobody knows, because the process stops.
+/// Ends a claim; repeats until the database accepts it. Returns whether the claim had not ended
+/// before; `None` if this is unknown, because the process stops.
 async fn end_claim(
     desk: &Desk,
     (id, claim): (&str, JobClaim),
@@ -165,7 +166,7 @@ async fn prepared(
     })
 }
 
-/// Computes on a blocking thread, with a heartbeat meanwhile.
+/// Computes on a blocking thread, and writes heartbeats meanwhile.
 async fn computed(
     desk: &Desk,
     run: Run,
@@ -197,7 +198,7 @@ async fn computed(
 pub(super) async fn expire(desk: Arc<Desk>) {
     let mut stopping = desk.stopping.subscribe();
     loop {
-        // The node that leads does it for all.
+        // In a cluster only the leader does it.
         if desk.store.leads()
             && let Err(error) = remove_expired(&desk).await
         {
@@ -210,7 +211,7 @@ pub(super) async fn expire(desk: Arc<Desk>) {
     }
 }
 
-/// Counts the files of the folder again and again until the process stops.
+/// Counts the files at an interval until the process stops.
 pub(super) async fn count(desk: Arc<Desk>) {
     let mut stopping = desk.stopping.subscribe();
     // Err: the time has passed, and the process is not stopping.

@@ -1,4 +1,4 @@
-//! What came of a job: the report of a success, the reason of a failure.
+//! The outcome of a job: the report of a success, the reason of a failure.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub struct Report {
     pub configuration_hash: String,
     /// Number of epochs.
     pub epochs: u64,
-    /// Number of them with a position.
+    /// Number of epochs with a position.
     pub answered: u64,
     /// Time from the start of the run to its end (s).
     pub seconds: f64,
@@ -35,7 +35,7 @@ pub struct Report {
     pub remedies: BTreeMap<String, String>,
     /// What the positions rest on; lines that need attention begin with "warning: ".
     pub provenance: Vec<String>,
-    /// What was skipped of the files.
+    /// Parts of the files that were skipped.
     pub skipped: Vec<String>,
 }
 
@@ -44,7 +44,7 @@ pub struct Report {
 pub struct Failure {
     /// The stable code.
     pub code: String,
-    /// What is wrong; of a file, with the line or byte at fault.
+    /// What is wrong; for a file, with the line or byte at fault.
     pub message: String,
     /// The part of the upload at fault.
     pub field: Option<String>,

@@ -1,4 +1,4 @@
-//! What a job is asked for: options and input files, as they are stored.
+//! A request for a job: options and input files, as they are stored.
 
 use std::collections::BTreeMap;
 
@@ -16,11 +16,11 @@ use crate::session::{RerunPlan, RerunRequest, SessionError, SessionId, SolveRequ
 use super::JobError;
 use super::webhook::Webhook;
 
-/// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
+/// Possible distances of a base from the centre of the Earth (m): from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
 
-/// What a file is for.
+/// The part of a job that a file is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
@@ -42,7 +42,7 @@ impl Part {
         }
     }
 
-    /// The part of a name.
+    /// The part with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         [Self::Rover, Self::Navigation, Self::Base].into_iter().find(|part| part.name() == name)
     }
@@ -51,18 +51,18 @@ impl Part {
 /// An input file of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobInput {
-    /// What it is for.
+    /// The part that it is for.
     pub part: Part,
-    /// Its name at the user.
+    /// Name of the file on the user's side.
     pub name: String,
     /// Hash of its bytes, BLAKE3, hexadecimal.
     pub hash: String,
     /// Its size (bytes).
     pub bytes: u64,
-    /// Whether the service has added it, because the upload has none of this part.
+    /// Whether the service has added it because the upload lacks this part.
     #[serde(default)]
     pub is_own: bool,
-    /// The URL that it is fetched from. Until then it has no hash.
+    /// The URL from which it is fetched. It has no hash before.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub url: Option<String>,
     /// The frame that a base of the service states, such as `ITRF2014@2010.0`.
@@ -90,7 +90,7 @@ impl JobInput {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum BaseOrigin {
-    /// Header or messages, else the base's own single-point positions.
+    /// Header or messages; without them, the base's own single-point positions.
     Any,
     /// Header or messages only.
     FromHeader,
@@ -115,14 +115,14 @@ pub struct JobOptions {
     pub format: String,
     /// A time within half a day of the first message (ns of GPS time), for messages without week.
     pub near_ns: Option<i64>,
-    /// Ids of the bases whose stored epochs stand in for a file of the base; none for the nearest,
-    /// and of a session for those of its source.
+    /// Ids of the bases whose stored epochs are used instead of a file of the base. None means the
+    /// nearest base, or for a session the bases of its source.
     #[serde(default, skip_serializing_if = "BaseChoice::is_none")]
     pub bases: BaseChoice<String>,
-    /// A session in place of the rover's file.
+    /// A session instead of the rover's file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionSource>,
-    /// URL that is told of the end of the job.
+    /// URL of the webhook that is informed of the end of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub webhook: Option<String>,
 }
@@ -138,7 +138,7 @@ pub struct SessionSource {
     pub bases: BaseChoice<String>,
 }
 
-/// What a job takes of its session, as the session was when the job was created.
+/// The input that a job takes from its session, as the session was when the job was created.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionInput {
     /// Numbers of the first and the last epoch.
@@ -153,19 +153,19 @@ pub struct SessionInput {
     pub is_as_answered: bool,
 }
 
-/// A job as it was asked for.
+/// The stored request for a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct JobRequest {
     /// The options.
     pub options: JobOptions,
     /// The input files: the rover's, those of navigation data, the base's.
     pub inputs: Vec<JobInput>,
-    /// What it takes of its session, if it has one.
+    /// The input from its session, if it has one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionInput>,
 }
 
-/// What the options of a job mean.
+/// The settings that result from the options of a job.
 pub(super) struct Plan {
     pub(super) options: PositioningOptions,
     pub(super) answer: AnswerKind,
@@ -175,7 +175,7 @@ pub(super) struct Plan {
 }
 
 impl JobRequest {
-    /// A request with its files in order.
+    /// A request with its files ordered by part.
     pub fn new(options: JobOptions, mut inputs: Vec<JobInput>) -> Self {
         inputs.sort_by_key(|input| input.part);
         Self { options, inputs, session: None }
@@ -187,23 +187,23 @@ impl JobRequest {
         self.inputs.sort_by_key(|input| input.part);
     }
 
-    /// The frame that the base states which the service has added.
+    /// The frame of a base that the service has added, as the base states it.
     pub(super) fn frame_of_own_base(&self) -> Option<CoordinateFrame> {
         CoordinateFrame::parse(self.input(Part::Base)?.frame.as_deref()?)
     }
 
-    /// Whether there are no files of navigation data, nor a session that has its own.
+    /// Whether there is neither a file of navigation data nor a session, which has its own.
     pub(super) fn lacks_navigation(&self) -> bool {
         self.options.session.is_none() && self.input(Part::Navigation).is_none()
     }
 
-    /// Whether there is no file of a base for positions that are relative to one.
+    /// Whether positions are relative to a base, and there is no file of a base.
     pub(super) fn lacks_base(&self, options: &PositioningOptions) -> bool {
         self.options.session.is_none() && options.mode.is_relative() && !self.has_base()
     }
 
-    /// Whether a session is positioned again relative to stored epochs of a base, of which an
-    /// archive may have more.
+    /// Whether a session is positioned again relative to stored epochs of a base. An archive may
+    /// have more of these epochs.
     pub(super) fn takes_stored_base(&self, options: &PositioningOptions) -> bool {
         let is_changed = self.session.as_ref().is_some_and(|session| !session.is_as_answered);
         is_changed && options.mode.is_relative() && !self.has_base()
@@ -219,7 +219,7 @@ impl JobRequest {
         self.inputs.iter().find(|input| input.part == part)
     }
 
-    /// Identifies what the user has sent: the options, the bytes of the files, and the secret.
+    /// Hash of what the user has sent: the options, the bytes of the files, and the secret.
     pub(super) fn hash(&self, webhook: Option<&Webhook>) -> String {
         let sent = self.inputs.iter().filter(|input| !input.is_own).cloned().collect();
         let sent = Self { options: self.options.clone(), inputs: sent, session: None };
@@ -272,7 +272,7 @@ impl JobRequest {
 }
 
 impl SessionInput {
-    /// What a plan of the session's desk means for a job.
+    /// The input for a job from a plan of the sessions' desk.
     pub(super) fn of(plan: &RerunPlan) -> Self {
         let RerunPlan { numbers, options, is_as_answered } = plan;
         let entries = options.entries().into_iter();
@@ -285,7 +285,7 @@ impl SessionInput {
         }
     }
 
-    /// The plan for the session's desk.
+    /// The plan for the sessions' desk.
     pub(super) fn plan(&self) -> Result<RerunPlan, JobError> {
         let (numbers, is_as_answered) = (self.numbers, self.is_as_answered);
         Ok(RerunPlan { numbers, options: self.positioning()?, is_as_answered })
@@ -296,7 +296,7 @@ impl SessionInput {
         positioning(&self.mode, &self.profile, &self.configuration)
     }
 
-    /// Number of the session's epochs, as far as their numbers have no gaps.
+    /// Number of the session's epochs, if their numbers have no gaps.
     pub(super) const fn epochs(&self) -> u64 {
         let (first, last) = self.numbers;
         last - first + 1
@@ -321,7 +321,7 @@ impl JobOptions {
         positioning(&self.mode, &self.profile, &self.overrides)
     }
 
-    /// The session in place of the rover's file, and what is asked of it.
+    /// The session that replaces the rover's file, and how it is to be positioned.
     pub(super) fn rerun(
         &self,
         has_base_file: bool,

@@ -29,17 +29,17 @@ use super::watched::Watched;
 use super::writing::{ResultWriter, unwritable};
 use super::{Failure, JobError, Report};
 
-/// Answers of a run before that are written in a turn: some milliseconds.
+/// Answers of an earlier run that are written in one turn, which takes some milliseconds.
 const ANSWERS_PER_TURN: usize = 512;
 
-/// What a run needs.
+/// Everything that a run needs.
 pub(super) struct Run {
     pub(super) request: JobRequest,
     pub(super) plan: Plan,
     pub(super) files: Arc<JobFiles>,
     /// The inputs by their hashes, once they are opened.
     pub(super) inputs: HashMap<String, Arc<File>>,
-    /// What is stored of sessions, and what they were answered with; `None` if the job has no
+    /// The store of sessions and the aiding with which they were answered; `None` if the job has no
     /// session.
     pub(super) stored: Option<(Store, AidingDesk)>,
     pub(super) lane: BatchLane,
@@ -59,7 +59,7 @@ pub(super) struct Run {
     pub(super) unpacked_bytes: u64,
 }
 
-/// A run that has its result on the disk.
+/// A completed run, with its result on the disk.
 pub(super) struct Done {
     pub(super) bytes: u64,
     pub(super) report: Report,
@@ -70,15 +70,15 @@ struct Output {
     writer: ResultWriter,
     tally: Tally,
     overview: Overview,
-    /// `None` if no more is written of them.
+    /// `None` if no more checkpoints are written.
     checkpoints: Option<Checkpoints>,
-    /// Time that the runs before have taken (s).
+    /// Time that the earlier runs have taken (s).
     seconds_before: f64,
-    /// How far these were: epochs, and what was read of the rover's file or of the session.
+    /// Progress of the earlier runs: epochs, and the part of the rover's file or of the session.
     resumed: (u64, u64),
 }
 
-/// Why a run has none.
+/// Why a run has no result.
 pub(super) enum Ended {
     /// The job fails.
     Failed(Failure),
@@ -93,7 +93,7 @@ impl From<Failure> for Ended {
 }
 
 impl Run {
-    /// Computes the result. What it has written and not finished is removed.
+    /// Computes the result. An unfinished result is removed.
     ///
     /// # Errors
     /// The job fails, or the run is stopped.
@@ -192,7 +192,7 @@ impl Run {
         Ok(Done { bytes, report })
     }
 
-    /// Keeps figures of the answers beside the result. Without them the report has none.
+    /// Stores figures of the answers beside the result. If this fails, the report has no figures.
     fn keep_figures(&self, (runtime, began): (&Handle, Instant), overview: &Overview) {
         let turn = self.turn(runtime, began);
         let drawn = overview.figures();
@@ -212,7 +212,7 @@ impl Run {
         }
     }
 
-    /// Positions epochs for a turn. Returns whether there may be more.
+    /// Positions epochs for one turn. Returns whether there may be more.
     fn advance(
         &self,
         (source, output): (&mut impl Source, &mut Output),
@@ -228,7 +228,7 @@ impl Run {
         self.running.set_cpu(used.elapsed());
         advanced?;
         space.grow_to(output.writer.bytes())?;
-        // A batch has no answers before its end, and answers of a window come later.
+        // A batch has no answers before its end, and those of a window are late.
         let Tally { epochs, answered, .. } = output.tally;
         let epochs = epochs.max(source.epochs());
         let read_bytes = source.passed();
@@ -238,7 +238,7 @@ impl Run {
         Ok(true)
     }
 
-    /// A batch is answered as a whole.
+    /// Whether the run writes checkpoints. A batch is answered as a whole, so it cannot.
     fn has_checkpoints(&self) -> bool {
         self.plan.answer != AnswerKind::Batch
     }
@@ -247,7 +247,7 @@ impl Run {
         Checkpoints::new(self.job.clone(), self.checkpoint_interval)
     }
 
-    /// Goes on where an earlier run of the job was cut off, if it has left checkpoints.
+    /// Continues where an earlier run of the job was interrupted, if it has left checkpoints.
     fn resume(
         &self,
         (source, output): (&mut impl Source, &mut Output),
@@ -264,7 +264,7 @@ impl Run {
         }
         for _ in 0..parts {
             let answers = self.awaited(runtime, chain.take(&self.files))?;
-            // Another process has changed it: the job is claimed again.
+            // Another process has changed the checkpoints: it has claimed the job again.
             let answers = answers.ok_or(Ended::Stopped)?;
             for some in answers.chunks(ANSWERS_PER_TURN) {
                 let turn = self.turn(runtime, began)?;
@@ -278,7 +278,7 @@ impl Run {
         Ok(())
     }
 
-    /// Waits for the files, unless the run is stopped.
+    /// Waits for work on the files, unless the run is stopped.
     fn awaited<T>(
         &self,
         runtime: &Handle,
@@ -288,7 +288,7 @@ impl Run {
         Ok(done.ok_or(Ended::Stopped)?.map_err(|error| failed(&error))?)
     }
 
-    /// Leaves a checkpoint for the next run. Without it that run computes more again.
+    /// Writes a checkpoint for the next run. If this fails, the next run repeats more epochs.
     fn leave_checkpoint(
         &self,
         (source, output): (&impl Source, &mut Output),
@@ -305,7 +305,7 @@ impl Run {
         }
     }
 
-    /// Opens the session that stands in place of the rover's file.
+    /// Opens the session that replaces the rover's file.
     fn session<'a>(
         &'a self,
         runtime: &Handle,
@@ -326,7 +326,7 @@ impl Run {
         loop {
             self.check(began)?;
             let turn = async { timeout(LOOK, self.lane.turn(&self.tenant)).await };
-            // Err: there was none yet.
+            // Err: no turn was granted yet.
             if let Ok(turn) = runtime.block_on(turn) {
                 return Ok(turn);
             }
@@ -345,8 +345,8 @@ impl Run {
         begun.map_err(|error| unwritable(&error))
     }
 
-    /// Completes the result. It is durable when this returns its size (bytes). `position` is the
-    /// first one of the rover.
+    /// Completes the result, and returns its size (bytes). It is then durable. `position` is the
+    /// first position of the rover.
     fn stored(
         &self,
         (writer, source, position): (ResultWriter, &impl Source, Option<Ecef>),
@@ -464,7 +464,7 @@ impl Output {
     }
 }
 
-/// The result's bytes in the space of all files. Without a result both are given up.
+/// The space that the result takes of all files. Without a result, file and space are given up.
 struct Space<'a> {
     run: &'a Run,
     bytes: u64,

@@ -1,9 +1,9 @@
-//! Whether all nodes of a cluster have the same folder of jobs, or the same bucket.
+//! Checks that all nodes of a cluster have the same folder of jobs, or the same bucket.
 //!
-//! A node writes a file named after its fence before it notes in the store that it has a folder.
-//! A node that begins looks for the files of the others in its own folder: a folder of the same
-//! name on another disk, and a copy of a folder, lack them. In a bucket there are objects in place
-//! of these files.
+//! A node writes a file named after its fence before it states in the store that it has a folder.
+//! A node that starts looks for the files of the others in its own folder. They are missing in a
+//! folder of the same name on another disk, and in a copy of the folder. In a bucket there are
+//! objects instead of these files.
 
 use std::fs;
 use std::io;
@@ -17,10 +17,10 @@ use super::JobError;
 use super::bucket::Bucket;
 use super::files::{JobFiles, sync};
 
-/// What the name of a node's file begins with.
+/// Prefix of the name of a node's file.
 const PREFIX: &str = "node.";
 
-/// Notes that this node has this folder, if all other nodes that take jobs have it, too.
+/// States in the store that this node has this folder, if all other nodes with jobs have it, too.
 ///
 /// # Errors
 /// Another node has another folder, or the store, the disk or the bucket fails.
@@ -37,7 +37,7 @@ pub(super) async fn join(store: &Store, files: &JobFiles) -> Result<(), JobError
         }
     }
     let found = place.fences().await?;
-    // After the files: a file is written by a node that is alive already.
+    // Read after the files, because only nodes that are alive already write a file.
     let (alive, _) = store.nodes().await?;
     for fence in found.into_iter().filter(|fence| !alive.iter().any(|node| node.fence == *fence)) {
         place.remove(fence).await;
@@ -45,7 +45,7 @@ pub(super) async fn join(store: &Store, files: &JobFiles) -> Result<(), JobError
     Ok(())
 }
 
-/// Where the files of the nodes are.
+/// The location of the files of the nodes.
 enum Place<'a> {
     Folder(&'a Path),
     Bucket(&'a Bucket),
@@ -91,7 +91,7 @@ impl<'a> Place<'a> {
             Self::Folder(folder) => {
                 marks(folder).map_err(JobError::disk("reading the folder of jobs"))
             }
-            // What is beyond the first page is removed by a later node.
+            // A later node removes files beyond the first page.
             Self::Bucket(bucket) => {
                 let (page, _) = bucket.page(PREFIX, None).await?;
                 Ok(page.iter().filter_map(|object| fence_of(&object.name)).collect())
@@ -101,7 +101,7 @@ impl<'a> Place<'a> {
 
     async fn remove(&self, fence: i64) {
         match self {
-            // Err: another node was first.
+            // Err: another node has removed it first.
             Self::Folder(folder) => drop(fs::remove_file(mark(folder, fence))),
             // Err: a later node removes it.
             Self::Bucket(bucket) => drop(bucket.delete(&name_of(fence)).await),

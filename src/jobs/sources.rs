@@ -1,4 +1,4 @@
-//! What a run positions: the files of a recording, or the stored epochs of a session.
+//! The source of the epochs of a run: the files of a recording, or the stored epochs of a session.
 
 use tokio::runtime::Handle;
 
@@ -13,36 +13,36 @@ use super::Failure;
 use super::request::{Plan, SessionInput};
 use super::watched::Watched;
 
-/// Most epochs of a session that are answered all at once: they are in memory.
+/// Most epochs of a session that are answered together, because they are all in memory.
 const BATCH_EPOCHS: u64 = 100_000;
 
 /// Epochs that a run positions one by one.
 pub(super) trait Source {
-    /// Reads what the next steps need. Returns false once everything is computed.
+    /// Reads the data for the next steps. Returns false once everything is computed.
     ///
     /// # Errors
     /// It cannot be read.
     fn read(&mut self, runtime: &Handle) -> Result<bool, Failure>;
 
-    /// Positions the next epoch, or gives the last answers. Appends the answers that are due.
-    /// Returns whether another step can follow at once.
+    /// Positions the next epoch, or returns the last answers. Appends the answers that are due.
+    /// Returns whether another step can follow without a read.
     ///
     /// # Errors
     /// A file cannot be read.
     fn step(&mut self, due: &mut Vec<Solution>) -> Result<bool, Failure>;
 
-    /// What [`Self::resume`] needs to go on after the last step; `None` before the first one, and
-    /// if all answers come at the end.
+    /// The state from which [`Self::resume`] continues after the last step; `None` before the first
+    /// step, and if all answers come at the end.
     fn checkpoint(&self) -> Option<Vec<u8>>;
 
-    /// Goes on after a checkpoint of the same job: what was positioned before it is read again, and
-    /// has no answers. Returns false if this program cannot read it.
+    /// Continues after a checkpoint of the same job. The epochs before the checkpoint are read
+    /// again, but get no answers. Returns false if this program cannot read the checkpoint.
     ///
     /// # Errors
-    /// What it depends on cannot be read.
+    /// Data that the checkpoint depends on cannot be read.
     fn resume(&mut self, checkpoint: &[u8], runtime: &Handle) -> Result<bool, Failure>;
 
-    /// The recording, if it is one of files, and what their readers report.
+    /// The recording and the reports of its readers, if the source is files.
     fn recording(&self) -> Option<(&Recording<'_>, &Watched)>;
 
     /// Leap seconds of the navigation data.
@@ -54,7 +54,7 @@ pub(super) trait Source {
     /// Bytes of the rover's file, or numbers of the session's epochs, that are read.
     fn passed(&self) -> u64;
 
-    /// What the positions so far rest on.
+    /// The data on which the positions so far rest.
     fn provenance(&self) -> Provenance;
 
     /// Further lines for the report.
@@ -150,7 +150,7 @@ impl<'a> SessionEpochs<'a> {
         Self { rerun, id, session, mode, answer, watched, epochs, is_read, is_done }
     }
 
-    /// Takes the epochs of the base from a file, once the first epoch of the rover is read.
+    /// From now on, takes the epochs of the base from a file. The rover's first epoch must be read.
     ///
     /// # Errors
     /// The file cannot be read, or no source gives the position.

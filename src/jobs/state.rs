@@ -22,10 +22,10 @@ use super::files::JobFiles;
 use super::request::{JobRequest, Plan};
 use super::{JobError, JobId};
 
-/// Interval at which a run that waits for a turn looks whether it is stopped.
+/// Interval at which a run that waits for a turn checks whether it is stopped.
 pub(super) const LOOK: Duration = Duration::from_secs(1);
 
-/// Interval at which what can be stopped looks whether it is.
+/// Interval at which other work checks whether it is stopped.
 const STOP_LOOK: Duration = Duration::from_millis(200);
 
 /// The desk.
@@ -50,22 +50,22 @@ pub(super) struct Desk {
     pub(super) queued: Notify,
     /// Wakes the task that fetches inputs.
     pub(super) unfetched: Notify,
-    /// Number of changes of jobs, for those who watch one.
+    /// Number of changes of jobs, for the watches of jobs.
     pub(super) changes: watch::Sender<u64>,
     /// Whether the service is stopping.
     pub(super) stopping: watch::Sender<bool>,
     runs: Mutex<HashMap<String, Arc<Running>>>,
 }
 
-/// Where a run finds what is stored of bases and ephemerides.
+/// The source of stored bases and ephemerides for a run.
 pub(super) enum Aiding {
-    /// In the service's desk, which has it in memory.
+    /// The service's desk, which has them in memory.
     Service(Box<AidingDesk>),
-    /// In the store, which is read for the run: others change it.
+    /// The store. It is read for each run, because other processes change it.
     Worker(AidingLimits),
 }
 
-/// A run as others see it.
+/// A run as other tasks see it.
 #[derive(Default)]
 pub(super) struct Running {
     stop: AtomicBool,
@@ -115,7 +115,7 @@ impl Desk {
         Self { archives: Some(archives), ..self }
     }
 
-    /// What is stored of bases and ephemerides.
+    /// The desk with the stored bases and ephemerides.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
@@ -123,7 +123,8 @@ impl Desk {
         match &self.aiding {
             Aiding::Service(desk) => {
                 if self.store.fence().is_some() {
-                    // A job may have been created at another node, which knows more.
+                    // Another node may have created the job, with data that this node does not know
+                    // yet.
                     desk.follow().await?;
                 }
                 Ok(AidingDesk::clone(desk))
@@ -132,7 +133,7 @@ impl Desk {
         }
     }
 
-    /// The folder of jobs.
+    /// The files of jobs.
     ///
     /// # Errors
     /// The service has none.
@@ -140,7 +141,7 @@ impl Desk {
         self.files.as_ref().ok_or(JobError::Off)
     }
 
-    /// What the options of a job mean, after a check of its files and options.
+    /// The plan that results from a request, after a check of its files and options.
     ///
     /// # Errors
     /// A part is missing or given twice, or an option does not exist, does not fit the others, or
@@ -164,7 +165,7 @@ impl Desk {
         stopping.wait_for(|stopping| *stopping).await.ok();
     }
 
-    /// Wakes those who watch a job.
+    /// Wakes the watches of jobs.
     pub(super) fn changed(&self) {
         self.changes.send_modify(|changes| *changes += 1);
     }
@@ -179,7 +180,7 @@ impl Desk {
         running
     }
 
-    /// Forgets a run.
+    /// Removes a run that has ended.
     pub(super) fn end(&self, id: &str) {
         self.runs().remove(id);
     }

@@ -1,8 +1,8 @@
-//! Uploads that go on after a break: a file that arrives in several requests.
+//! Uploads that continue after an interruption: a file that arrives in several requests.
 //!
-//! Its bytes go to one file, whose length tells how far it is, so nothing that has arrived is sent
-//! again. When the last byte is there the file is stored under the hash of its content, as every
-//! input. Jobs then name it by the upload's id until it expires.
+//! Its bytes are appended to one file, whose length is the number of bytes that have arrived. So no
+//! byte is sent again. When the last byte has arrived, the file is stored under the hash of its
+//! content, like every input. Jobs then name it by the upload's id until the upload expires.
 
 use std::fs::OpenOptions;
 use std::io;
@@ -25,7 +25,7 @@ const MS_PER_HOUR: i64 = 3_600_000;
 /// Longest name of a file (characters).
 const NAME_MAX: usize = 200;
 
-/// What an [`UploadId`] is the id of.
+/// Marks an [`Id`] as an upload's.
 #[derive(Debug)]
 pub struct OfUpload;
 
@@ -41,7 +41,7 @@ pub type UploadId = Id<OfUpload>;
 pub struct UploadInfo {
     /// Its id.
     pub id: UploadId,
-    /// Name of the file at the user.
+    /// Name of the file on the user's side.
     pub name: String,
     /// Size of the whole file (bytes).
     pub length: u64,
@@ -53,13 +53,13 @@ pub struct UploadInfo {
     pub expires_unix_ms: i64,
 }
 
-/// Bytes of an upload that arrive. Nobody else appends to it meanwhile.
+/// A request that appends bytes to an upload. No other request appends to it meanwhile.
 pub struct Appending {
     desk: Arc<Desk>,
     upload: UploadInfo,
-    /// Its offset before this request.
+    /// Offset of the upload before this request.
     begun: u64,
-    /// It is locked until it is closed.
+    /// The file. It is locked until it is closed.
     file: File,
 }
 
@@ -67,8 +67,8 @@ impl Jobs {
     /// Begins an upload of a file of this size.
     ///
     /// # Errors
-    /// The service takes no jobs, the file is too large, the tenant has as many uploads as allowed
-    /// or its quota of bytes has no room for this one, or the store fails.
+    /// The service takes no jobs, the file is too large, the tenant has its most uploads or not
+    /// enough of its quota of bytes, or the store fails.
     pub async fn begin_upload(&self, name: &str, length: u64) -> Result<UploadInfo, JobError> {
         let (desk, limits) = (&self.desk, &self.desk.limits);
         let files = desk.files()?;
@@ -98,7 +98,7 @@ impl Jobs {
     /// An upload.
     ///
     /// # Errors
-    /// The tenant has none with this id, or the store or the disk fails.
+    /// The tenant has no upload with this id, or the store or the disk fails.
     pub async fn upload_info(&self, id: &UploadId) -> Result<UploadInfo, JobError> {
         let unknown = || JobError::UploadNotFound { id: id.to_string() };
         let row = self.desk.store.upload(&self.tenant, id.as_str()).await?;
@@ -126,7 +126,7 @@ impl Jobs {
         let opened = opening.await.unwrap_or_else(|error| Err(io::Error::other(error)));
         let opened = opened.map_err(JobError::disk("opening the file of an upload"))?;
         let (stored, file) = opened.ok_or_else(|| JobError::UploadBusy { id: id.to_string() })?;
-        // A complete one has its file elsewhere.
+        // The file of a complete upload has been moved.
         let stored = if upload.hash.is_some() { upload.length } else { stored };
         if stored != offset {
             return Err(JobError::UploadOffset { offset: stored });
@@ -139,7 +139,7 @@ impl Jobs {
     /// Removes an upload. Jobs that name its file keep it.
     ///
     /// # Errors
-    /// The tenant has none with this id, or the store fails.
+    /// The tenant has no upload with this id, or the store fails.
     pub async fn remove_upload(&self, id: &UploadId) -> Result<(), JobError> {
         let files = self.desk.files()?;
         if !self.desk.store.delete_upload(&self.tenant, id.as_str()).await? {
@@ -149,14 +149,14 @@ impl Jobs {
         Ok(())
     }
 
-    /// The file of a complete upload, and its name at the user.
+    /// The file of a complete upload, and its name on the user's side.
     ///
     /// # Errors
     /// Bytes are missing, the tenant has no such upload, or the store fails.
     pub async fn uploaded(&self, id: &UploadId) -> Result<(String, StoredFile), JobError> {
         let mut upload = self.upload_info(id).await?;
         if upload.hash.is_none() && upload.offset == upload.length {
-            // Its last bytes came, and it could not be stored then.
+            // All its bytes have arrived, but it could not be stored then.
             upload = self.append_upload(id, upload.length).await?.finish().await?;
         }
         let UploadInfo { name, length, offset, hash, .. } = upload;
@@ -178,8 +178,8 @@ async fn info(files: &Arc<JobFiles>, row: JobUploadRow) -> Result<UploadInfo, Jo
     Ok(UploadInfo { id, name, length, offset, hash, expires_unix_ms })
 }
 
-/// Bytes of a file that has arrived. It is opened, so that a shared file system asks for what other
-/// nodes have written.
+/// Number of bytes of a file that have arrived. The file is opened, because a shared file system
+/// then reads what other nodes have written.
 async fn arrived(path: PathBuf) -> u64 {
     let length = async { File::open(path).await?.metadata().await.map(|metadata| metadata.len()) };
     // Err: nothing has arrived.
@@ -190,7 +190,7 @@ impl Appending {
     /// Appends bytes.
     ///
     /// # Errors
-    /// They exceed the size of the file, all files together exceed their limit, or the disk fails.
+    /// They exceed the size of the file, all files exceed their limit, or the disk fails.
     pub async fn write(&mut self, bytes: &[u8]) -> Result<(), JobError> {
         let (more, length) = (bytes.len() as u64, self.upload.length);
         if length < self.upload.offset + more {
@@ -203,8 +203,8 @@ impl Appending {
         Ok(())
     }
 
-    /// Removes what this request has appended. It has sent more than is left of the file, so its
-    /// bytes may be those of another file or of another offset.
+    /// Removes the bytes that this request has appended. It has sent more bytes than the file still
+    /// needs, so they may belong to another file or to another offset.
     async fn take_back(&mut self) -> Result<(), JobError> {
         self.file.flush().await.map_err(failed)?;
         self.file.set_len(self.begun).await.map_err(failed)?;
@@ -213,8 +213,8 @@ impl Appending {
         Ok(())
     }
 
-    /// Makes durable what has arrived, also after a break, and stores the file under its hash if it
-    /// is complete.
+    /// Makes the bytes that have arrived durable, also after an interruption. If the file is
+    /// complete, it is stored under its hash.
     ///
     /// # Errors
     /// The disk or the store fails.

@@ -14,7 +14,7 @@ use super::request::Part;
 
 const READ_BUFFER_BYTES: usize = 1 << 16;
 
-/// What the readers of the inputs report.
+/// The reports of the readers of the inputs.
 #[derive(Clone, Default)]
 pub(super) struct Watched(Arc<Reports>);
 
@@ -63,8 +63,8 @@ impl Watched {
         }
     }
 
-    /// Bytes that the rover's reader has read. The file is opened several times; the readers that
-    /// are in use no more are left out.
+    /// Bytes that the rover's reader has read. The file is opened several times; readers that are
+    /// no longer in use are ignored.
     pub(super) fn rover_bytes(&self) -> u64 {
         let mut readers = self.readers();
         readers.retain(|read| 1 < Arc::strong_count(read));
@@ -76,7 +76,7 @@ impl Watched {
     }
 }
 
-/// A file, from its first byte on, that counts what is read. Others may read it, too.
+/// A file, read from its first byte, that counts the bytes read. Other readers may read it, too.
 struct Counted {
     file: Arc<File>,
     at: u64,
@@ -92,7 +92,7 @@ impl Read for Counted {
     }
 }
 
-/// A reader that notes why unpacking ends.
+/// A reader that records why unpacking ended.
 struct Noting<R> {
     input: R,
     reports: Arc<Reports>,

@@ -1,4 +1,4 @@
-//! Where the end of a job is told, and the signature of the message.
+//! Webhooks that are informed of the end of a job, and the signature of the message.
 //!
 //! Source: Standard Webhooks 1.0.0, symmetric signatures: HMAC-SHA256 over id, time and body.
 
@@ -13,17 +13,17 @@ use crate::feeds::{Connector, Url};
 
 use super::JobError;
 
-/// The beginning of a secret.
+/// Prefix of a secret's text.
 const PREFIX: &str = "whsec_";
-/// Bytes of a secret.
+/// Number of bytes of a secret.
 const SECRET_BYTES: std::ops::RangeInclusive<usize> = 24..=64;
 
-/// Where a job's end is told, and with which secret.
+/// A webhook: its URL and its secret.
 #[derive(Clone, Debug)]
 pub struct Webhook {
     /// The URL.
     pub url: String,
-    /// Signs the messages.
+    /// Secret that signs the messages.
     pub secret: WebhookSecret,
 }
 
@@ -36,7 +36,7 @@ pub struct WebhookSecret {
 }
 
 impl Webhook {
-    /// A webhook that clients may ask for.
+    /// Checks that clients may name this webhook.
     ///
     /// # Errors
     /// The URL or the secret is invalid, or the operator does not list the host.
@@ -48,10 +48,10 @@ impl Webhook {
 }
 
 impl WebhookSecret {
-    /// The secret of a text.
+    /// Parses the text of a secret.
     ///
     /// # Errors
-    /// It is no such text.
+    /// The text is not a secret.
     pub fn parse(text: &str) -> Result<Self, JobError> {
         let encoded = text.strip_prefix(PREFIX);
         let key = encoded.and_then(|encoded| STANDARD.decode(encoded).ok());
@@ -69,7 +69,7 @@ impl WebhookSecret {
         &self.text
     }
 
-    /// The signature of a message, as its head has it.
+    /// The signature of a message, as in its head.
     pub(super) fn sign(&self, id: &str, unix_s: i64, body: &[u8]) -> String {
         let mut hmac = Hmac::<Sha256>::new_from_slice(&self.key).expect("it takes any length");
         hmac.update(format!("{id}.{unix_s}.").as_bytes());

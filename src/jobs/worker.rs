@@ -1,7 +1,7 @@
-//! A worker: a process that runs the jobs of a service beside it, and nothing else.
+//! A worker: a process beside a service that runs the service's jobs, and does nothing else.
 //!
-//! It needs the database, which several processes write to, and the service's folder of jobs or its
-//! bucket. It creates, fetches, removes and reports no job.
+//! It needs a database that several processes write to, and the service's folder of jobs or its
+//! bucket. It does not create, fetch, remove or report jobs.
 
 use std::sync::Arc;
 
@@ -50,7 +50,8 @@ impl Worker {
         Ok(Self { desk, tasks })
     }
 
-    /// Waits until a task has ended, which none does but by a defect or for want of threads.
+    /// Waits until a task has ended. A task ends only because of a defect, or if no thread can
+    /// start.
     pub async fn broken(&mut self) {
         self.tasks.join_next().await;
     }

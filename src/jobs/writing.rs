@@ -1,4 +1,4 @@
-//! The result of a run on its way into its file.
+//! Writes the result of a run into its file.
 
 use std::fs::File;
 use std::io::{self, BufWriter};

@@ -1,4 +1,4 @@
-//! What a build without the feature `s3` has in place of a bucket: a type without values.
+//! The type that replaces a bucket in a build without the feature `s3`. It has no values.
 
 use std::convert::Infallible;
 use std::fs::File;
@@ -11,7 +11,7 @@ use crate::config::S3Configuration;
 
 use super::{BucketError, ListedPage, Patience};
 
-/// Stands for a bucket in a build that cannot have one.
+/// A bucket in a build that cannot have one.
 pub(crate) struct Bucket(Infallible);
 
 impl Bucket {

@@ -1,13 +1,13 @@
-//! How a bucket is asked, and what it lists.
+//! How long requests to a bucket are repeated, and the items of its lists.
 
 use std::time::Duration;
 
-/// How long a request that fails for a passing reason is repeated.
+/// How often a request is repeated that fails for a temporary reason.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Patience {
-    /// Somebody waits for the answer.
+    /// A caller waits for the answer.
     Call,
-    /// A run would lose its work.
+    /// A run waits for it, and would lose its work.
     Run,
 }
 

@@ -17,18 +17,18 @@ use super::send::{Signed, whole};
 use super::tries::Tries;
 use super::{BucketError, Listed, ListedPage, Patience};
 
-/// How long a signature is valid.
+/// Time for which a signature is valid.
 const SIGNED_FOR: Duration = Duration::from_secs(3600);
 /// Longest object that is a text, and longest page of a list (bytes).
 const TEXT_BYTES: usize = 4 << 10;
 const PAGE_BYTES: usize = 8 << 20;
-/// Parts in memory at the same time.
+/// Most parts in memory at the same time.
 const PARTS: usize = 4;
 
-/// A bucket of an S3 service, or the objects of it whose names begin with a prefix.
+/// A bucket of an S3 service, or only those of its objects whose names begin with a prefix.
 pub(crate) struct Bucket {
     pub(super) bucket: rusty_s3::Bucket,
-    /// Empty, or it ends in a slash.
+    /// The prefix of names. It is empty, or ends in a slash.
     prefix: String,
     keys: KeySource,
     pub(super) connector: Connector,
@@ -36,15 +36,15 @@ pub(crate) struct Bucket {
     pub(super) parts: Semaphore,
 }
 
-/// Where the credentials are.
+/// The source of the credentials.
 enum KeySource {
-    /// In a file, which is read for each request: they may be changed there.
+    /// A file. It is read for each request, because the credentials may change.
     File(PathBuf),
     Given(S3Keys),
 }
 
 impl Bucket {
-    /// Opens a bucket. Its server is not asked.
+    /// Opens a bucket, without a request to its server.
     ///
     /// # Errors
     /// The configuration is wrong, or there are no credentials.
@@ -137,7 +137,7 @@ impl Bucket {
         }
     }
 
-    /// Puts a small object, unless there is one of this name already.
+    /// Puts a small object, unless an object has this name already.
     ///
     /// # Errors
     /// The server is away or refuses.
@@ -153,7 +153,7 @@ impl Bucket {
             };
             match asked.send(&self.connector, name, async |_| Ok(())).await {
                 Ok(()) => return Ok(()),
-                // Another one was first.
+                // Another request has put it first.
                 Err(BucketError::Refused { answer }) if answer.starts_with("412") => return Ok(()),
                 Err(error) => tries.again(error).await?,
             }
@@ -165,12 +165,12 @@ impl Bucket {
     /// # Errors
     /// The server is away or refuses.
     pub(crate) async fn size(&self, name: &str) -> Result<Option<u64>, BucketError> {
-        // Not by HEAD: its refusals have no code.
+        // Not by HEAD, because a refusal of HEAD has no code.
         let (page, _) = self.page(name, None).await?;
         Ok(page.into_iter().find(|object| object.name == name).map(|object| object.bytes))
     }
 
-    /// A page of the objects whose names begin with `begin`: the first, or the one of a token.
+    /// A page of the objects whose names begin with `begin`: the first, or the page of a token.
     ///
     /// # Errors
     /// The server is away or refuses, or its answer is no list.
@@ -207,7 +207,7 @@ impl Bucket {
         let now = Timestamp::now();
         let objects = list.contents.into_iter().filter_map(|object| {
             let modified: Option<Timestamp> = object.last_modified.and_then(|t| t.parse().ok());
-            // Without a time it is new.
+            // An object without a time counts as new.
             let age = modified.map_or(Duration::ZERO, |modified| {
                 Duration::try_from(now.duration_since(modified)).unwrap_or_default()
             });

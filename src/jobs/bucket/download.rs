@@ -1,4 +1,4 @@
-//! Objects that come down from the bucket, in chunks. A transfer that breaks goes on where it was.
+//! Downloads objects from the bucket, in chunks. A transfer that breaks continues where it ended.
 
 use bytes::Bytes;
 use hyper::body::Incoming;
@@ -10,7 +10,7 @@ use super::send::{Signed, next_chunk};
 use super::tries::Tries;
 use super::{BucketError, Patience};
 
-/// The object of a download, and how much of it is there.
+/// The object of a download, and how many of its bytes have arrived.
 struct Progress<'a> {
     name: &'a str,
     bytes: u64,
@@ -19,11 +19,11 @@ struct Progress<'a> {
 }
 
 impl Bucket {
-    /// Sends the chunks of an object of this size to `chunks`, as fast as they are taken, until it
-    /// has ended or nobody takes them any more.
+    /// Sends the chunks of an object of this size to `chunks`, as fast as the receiver takes them,
+    /// until the object ends or the receiver is dropped.
     ///
     /// # Errors
-    /// The server is away or refuses, or has no such object or one of another size.
+    /// The server is away or refuses, or the object is missing or has another size.
     pub(crate) async fn download(
         &self,
         (name, bytes): (&str, u64),
@@ -49,7 +49,7 @@ impl Bucket {
 }
 
 impl Progress<'_> {
-    /// Passes on what an answer has beyond what is there already.
+    /// Sends the bytes of an answer that have not arrived before.
     async fn pass_on(&mut self, answer: Response<Incoming>) -> Result<(), BucketError> {
         let begin = match answer.status() {
             StatusCode::PARTIAL_CONTENT => self.received,

@@ -1,14 +1,14 @@
-//! Why a bucket does not do what it is asked.
+//! Why a request to a bucket fails.
 
 use crate::refusal::Code;
 
-/// Why a bucket does not do what it is asked.
+/// Why a request to a bucket fails.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum BucketError {
     /// This program has no client of S3.
     #[error("jobs.s3 is only in a build with the feature \"s3\"")]
     NotBuilt,
-    /// The configuration contradicts itself, or names what does not exist.
+    /// The configuration contradicts itself, or names something that does not exist.
     #[error("jobs.s3: {why}")]
     Configuration {
         /// What is wrong.
@@ -38,7 +38,7 @@ pub enum BucketError {
         /// Its name.
         name: String,
     },
-    /// The object is another one than was put.
+    /// The object differs from the one that was put.
     #[error("the object {name} of the bucket is damaged: {why}")]
     Damaged {
         /// Its name.

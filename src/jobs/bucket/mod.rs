@@ -1,7 +1,7 @@
 //! A bucket of an S3 service: objects in it are put, fetched, listed and deleted by their names.
 //!
-//! It knows nothing of jobs. An object goes up in parts and comes down in chunks, so that none is
-//! in memory as a whole. A request that fails for a passing reason is sent again, as many times as
+//! It knows nothing of jobs. An object is sent in parts and received in chunks, so that none is in
+//! memory as a whole. A request that fails for a temporary reason is sent again, as many times as
 //! its [`Patience`] allows. A build without the feature `s3` has no bucket.
 //!
 //! Source: Amazon Simple Storage Service API Reference, 2006-03-01; presigned requests of Signature

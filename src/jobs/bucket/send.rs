@@ -1,4 +1,4 @@
-//! One request to the server of the bucket, and what its answer says.
+//! One request to the server of the bucket, and the meaning of its answer.
 
 use std::future::Future;
 use std::time::Duration;
@@ -26,7 +26,7 @@ pub(super) struct Signed {
     /// Further fields of the head.
     pub(super) fields: Vec<(HeaderName, String)>,
     pub(super) body: Bytes,
-    /// Time in which the request is sent and the head of its answer comes.
+    /// Time until the head of the answer must have arrived.
     pub(super) longest: Duration,
 }
 
@@ -36,7 +36,7 @@ impl Signed {
         Self { method, url, fields: Vec::new(), body: Bytes::new(), longest: SILENCE }
     }
 
-    /// Sends the request once, and gives the answer to `take` if it is a success.
+    /// Sends the request once, and passes the answer to `take` if it is a success.
     ///
     /// # Errors
     /// The server is away, or refuses the request for the object of this name.
@@ -59,8 +59,8 @@ impl Signed {
         taking.await.map_err(|error| away(&error))?
     }
 
-    /// The request, and where it is sent. The head has the host as it was signed: without the port
-    /// that is usual for the scheme.
+    /// The request, and the URL to which it is sent. The head has the host as it was signed, that
+    /// is without the default port of the scheme.
     fn request(&self) -> Result<(Request<Full<Bytes>>, Url), BucketError> {
         let invalid = || BucketError::Configuration { why: "the endpoint is no URL".to_owned() };
         let host = self.url.host_str().ok_or_else(invalid)?.to_owned();
@@ -90,10 +90,10 @@ pub(super) fn away(error: &WebError) -> BucketError {
     BucketError::Away { why: error.to_string() }
 }
 
-/// What an answer that is no success means.
+/// The error that an answer means which is not a success.
 async fn refusal(answer: Response<Incoming>, name: &str) -> BucketError {
     let status = answer.status();
-    // Err: the status alone must do.
+    // Err: only the status is known.
     let content = whole(answer, REFUSAL_BYTES).await.unwrap_or_default();
     let text = String::from_utf8_lossy(&content);
     let (code, message) = (element(&text, "Code"), element(&text, "Message"));

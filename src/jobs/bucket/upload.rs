@@ -1,4 +1,4 @@
-//! Files that go up to the bucket, in parts.
+//! Uploads files to the bucket, in parts.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
@@ -20,14 +20,14 @@ use super::send::{Signed, element, whole};
 use super::tries::Tries;
 use super::{BucketError, Patience};
 
-/// Size of a part (bytes), unless there would be too many of them. A file of at most this size goes
-/// up whole.
+/// Size of a part (bytes), unless a file would have too many parts. A file of at most this size is
+/// sent as a whole.
 const PART_BYTES: u64 = 8 << 20;
 /// Most parts of an object.
 const PARTS_MAX: u64 = 10_000;
-/// Time for a part: 70 kB/s.
+/// Longest time for a part: 70 kB/s.
 const PART_TIME: Duration = Duration::from_secs(120);
-/// Time in which a server puts the parts together.
+/// Longest time in which a server joins the parts.
 const COMPLETION_TIME: Duration = Duration::from_secs(300);
 /// Longest answer to these requests (bytes).
 const ANSWER_BYTES: usize = 64 << 10;
@@ -40,7 +40,7 @@ struct Part {
 }
 
 impl Bucket {
-    /// Puts a file of this size as an object, in place of any other of this name.
+    /// Puts a file of this size as an object. It replaces an object of this name.
     ///
     /// # Errors
     /// The server is away or refuses, or the file cannot be read.
@@ -134,7 +134,7 @@ impl Bucket {
         }
     }
 
-    /// Puts the parts together.
+    /// Makes the server join the parts.
     async fn complete(
         &self,
         name: &str,
@@ -164,7 +164,7 @@ impl Bucket {
                     let (code, message) = (element(&answer, "Code"), element(&answer, "Message"));
                     BucketError::Away { why: format!("{code} {message}") }
                 }
-                // A try whose answer was lost has put them together.
+                // An earlier attempt, whose answer was lost, has joined the parts.
                 Err(BucketError::Refused { answer }) if answer.contains("NoSuchUpload") => {
                     return match self.size(name).await? {
                         Some(stored) if stored == bytes => Ok(()),
@@ -177,7 +177,7 @@ impl Bucket {
         }
     }
 
-    /// Gives the parts of an upload up.
+    /// Makes the server drop the parts of an upload.
     async fn abort(&self, name: &str, upload: &str) {
         let key = self.key(name);
         let aborting = async {

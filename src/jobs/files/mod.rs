@@ -2,16 +2,16 @@
 //!
 //! They are in the folder of jobs, or in a bucket under the same names.
 //!
-//! The folder has four: `incoming` for uploads that arrive, `inputs`, `results`, and `checkpoints`
-//! of runs. Names in `inputs` and `results` stand in the store, those in `checkpoints` begin with a
-//! job that does. What does not is removed once it is old, and at the start of a service that is
-//! alone. Other processes may write there, so the bytes of all files are
-//! counted again at an interval. The file `folder.id` identifies the folder. Each node of a cluster
-//! has a file there (`shared`).
+//! The folder has four folders: `incoming` for uploads that arrive, `inputs`, `results`, and
+//! `checkpoints` of runs. The store contains the names of `inputs` and `results`. A name in
+//! `checkpoints` begins with the id of a job. A file that belongs to no stored job is removed once
+//! it is old, and at the start of a service that is alone. Other processes may write there, so the
+//! bytes of all files are counted again at an interval. The file `folder.id` identifies the folder.
+//! Each node of a cluster has a file there (`shared`).
 //!
-//! With a bucket the folder has what is on its way only, so each process may have its own: uploads
-//! that arrive, in `incoming`; inputs that a run reads and results that it writes, in files without
-//! a name, of which nothing is left when the process ends.
+//! With a bucket the folder has only files in transit, so each process may have its own folder. It
+//! has arriving uploads in `incoming`. Inputs that a run reads and results that it writes are files
+//! without a name, of which nothing is left when the process ends.
 
 mod results;
 mod space;
@@ -51,14 +51,14 @@ pub(super) struct JobFiles {
     limits: JobsConfiguration,
     /// Bytes of all files.
     used: AtomicU64,
-    /// Bytes of results that are written, and in neither folder nor bucket yet.
+    /// Bytes of results that are being written and are not in the folder or bucket yet.
     writing: AtomicU64,
-    /// Number of uploads that have each input and are not a job yet.
+    /// Number of uploads, not yet jobs, that need each input.
     held: Mutex<HashMap<String, usize>>,
     uploads: Arc<Semaphore>,
 }
 
-/// An uploaded file that is stored. It is kept while this value, or a job, names it.
+/// An uploaded file that is stored. It is kept while this value exists, or a job names it.
 pub struct StoredFile {
     files: Arc<JobFiles>,
     /// Hash of its bytes, BLAKE3, hexadecimal.
@@ -69,7 +69,7 @@ pub struct StoredFile {
 
 impl JobFiles {
     /// Opens the folder of a service, which is created if absent, and its bucket, if it has one.
-    /// Files that no job names are removed: all of a folder if the service is alone, else the old
+    /// Files that no job names are removed: all of them if the service is alone, otherwise the old
     /// ones.
     ///
     /// # Errors
@@ -95,10 +95,10 @@ impl JobFiles {
         Ok(files)
     }
 
-    /// The files of a service whose folder or bucket has this identity, for another process.
+    /// The files of a service for another process. Its folder or bucket must have this identity.
     ///
     /// # Errors
-    /// It is another one, or cannot be read.
+    /// The identity differs, or it cannot be read.
     pub(super) async fn join(
         folder: PathBuf,
         limits: JobsConfiguration,
@@ -187,7 +187,7 @@ impl JobFiles {
         self.folder.join(INCOMING).join(id)
     }
 
-    /// Removes what has arrived of an upload of several requests.
+    /// Removes the bytes that have arrived of an upload of several requests.
     pub(super) fn remove_arriving(&self, id: &str) {
         let path = self.arriving(id);
         let bytes = fs::metadata(&path).map_or(0, |metadata| metadata.len());
@@ -196,13 +196,13 @@ impl JobFiles {
         self.release(bytes);
     }
 
-    /// A stored input that is kept while the value exists.
+    /// A stored input, which is kept while the returned value exists.
     pub(super) fn hold(self: &Arc<Self>, hash: String, bytes: u64) -> StoredFile {
         *self.held().entry(hash.clone()).or_default() += 1;
         StoredFile { files: self.clone(), hash, bytes }
     }
 
-    /// Stores a file under the hash of its content. Returns whether there was no equal one.
+    /// Stores a file under the hash of its content. Returns whether no equal file was stored.
     ///
     /// # Errors
     /// The disk or the bucket fails.
@@ -217,14 +217,14 @@ impl JobFiles {
             let name = format!("{INPUTS}/{}", stored.hash);
             let is_new = bucket.size(&name).await?.is_none();
             let opened = File::open(&from).map_err(JobError::disk("reading an upload"))?;
-            // Over an equal one, so that its age begins again.
+            // Replaces an equal object, so that its age begins again.
             bucket.put(&name, (Arc::new(opened), bytes), Patience::Call).await?;
             fs::remove_file(from).map_err(JobError::disk("removing an upload"))?;
             return Ok((stored, is_new));
         }
         let path = self.input(&stored.hash);
         let is_new = !path.exists();
-        // Over an equal file, so that its age begins again.
+        // Replaces an equal file, so that its age begins again.
         let folder = self.folder.join(INPUTS);
         let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
         let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
@@ -232,7 +232,7 @@ impl JobFiles {
         Ok((stored, is_new))
     }
 
-    /// A new file of the folder without a name.
+    /// A new file in the folder without a name.
     pub(super) fn nameless(&self) -> io::Result<File> {
         let path = self.arriving(&Uuid::new_v4().simple().to_string());
         let file = File::options().read(true).write(true).create_new(true).open(&path)?;
@@ -245,7 +245,7 @@ impl JobFiles {
     }
 }
 
-/// The identity of a folder, which it gets if it has none.
+/// The identity of a folder. A folder without one gets one.
 fn identified(folder: &Path) -> io::Result<String> {
     let path = folder.join(FOLDER_ID);
     if !path.exists() {
@@ -258,7 +258,7 @@ fn identified(folder: &Path) -> io::Result<String> {
     fs::read_to_string(path)
 }
 
-/// The identity of a bucket, which it gets if it has none.
+/// The identity of a bucket. A bucket without one gets one.
 async fn identified_in(bucket: &Bucket) -> Result<String, JobError> {
     if let Some(id) = bucket.text(FOLDER_ID).await? {
         return Ok(id);
@@ -347,7 +347,7 @@ mod tests {
         assert_eq!(files.used.load(Ordering::Acquire), 150);
     }
 
-    /// What the last claim of a job writes stays, also if another process claims it meanwhile.
+    /// Files of the last claim of a job are kept, even if another process claims the job meanwhile.
     #[tokio::test]
     async fn results_that_are_written_stay() {
         let folder = tempfile::tempdir().unwrap();

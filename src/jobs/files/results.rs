@@ -1,5 +1,5 @@
-//! The results of jobs while they are written: in the folder under their name, or with a bucket in
-//! a file without a name until they are whole.
+//! The results of jobs while they are written: in the folder under their name. With a bucket they
+//! are in a file without a name until they are complete.
 
 use std::fs::{self, File};
 use std::io;
@@ -12,7 +12,7 @@ use crate::jobs::named::{figures_name, result_name};
 
 use super::{JobFiles, RESULTS, sync};
 
-/// Most lost claims before one whose results are removed at once. Older ones expire.
+/// Number of lost claims before a claim whose results are removed at once. Older ones expire.
 const LOST_RESULTS: i64 = 16;
 
 impl JobFiles {
@@ -54,7 +54,8 @@ impl JobFiles {
         stored.map_err(JobError::disk("writing the result"))
     }
 
-    /// No more of a result is written. What is in the folder is removed unless it is done.
+    /// Ends the writing of a result. Its file in the folder is removed unless the result is
+    /// complete.
     pub(in crate::jobs) fn end_result(&self, name: &str, bytes: u64, is_done: bool) {
         let less = |writing: u64| Some(writing.saturating_sub(bytes));
         self.writing.fetch_update(Ordering::AcqRel, Ordering::Acquire, less).ok();
@@ -67,8 +68,8 @@ impl JobFiles {
         }
     }
 
-    /// Removes what lost claims of a job have written to the folder before this one. In a bucket it
-    /// is removed once it is old.
+    /// Removes the results in the folder that earlier, lost claims of a job have written. In a
+    /// bucket they are removed once they are old.
     pub(in crate::jobs) fn remove_results_of_lost_claims(&self, job: &str, fence: i64) {
         if self.bucket.is_some() {
             return;

@@ -1,5 +1,5 @@
-//! The space that the files of jobs take: counted, taken, given back, and freed of what no job
-//! names.
+//! The space that the files of jobs take: it is counted, taken and given back, and files that no
+//! job names are removed.
 
 use std::fs;
 use std::io;
@@ -12,20 +12,20 @@ use crate::jobs::named::Named;
 
 use super::{CHECKPOINTS, FOLDERS, INPUTS, JobFiles, RESULTS, local};
 
-/// A file that arrives is written to at least this often.
+/// Age from which a file that arrives is removed. A file is written more often than this.
 const ARRIVES_FOR: Duration = Duration::from_secs(3600);
-/// A file that no job names is removed once it is this old: its job may be about to be stored.
+/// Age from which a file that no job names is removed. A job may be stored shortly after its files.
 const UNNAMED_FOR: Duration = Duration::from_secs(600);
-/// Those that are in a bucket, if there is one.
+/// The folders whose files are in a bucket, if there is one.
 const IN_BUCKET: [&str; 3] = [INPUTS, RESULTS, CHECKPOINTS];
 /// Ages from which files that no job names are removed, by folder.
 pub(super) type Ages = [Duration; FOLDERS.len()];
 pub(super) const AGES: Ages = [ARRIVES_FOR, UNNAMED_FOR, UNNAMED_FOR, UNNAMED_FOR];
-/// The same in a bucket: its clock and that of a client may differ by a quarter of an hour.
+/// The age in a bucket, whose clock and that of a client may differ by a quarter of an hour.
 const UNNAMED_IN_BUCKET_FOR: Duration = Duration::from_secs(1800);
 
 impl JobFiles {
-    /// Counts the bytes of all files. What is written meanwhile is counted at the next time.
+    /// Counts the bytes of all files. Files written meanwhile are counted the next time.
     ///
     /// # Errors
     /// The folder or the bucket cannot be read.
@@ -55,7 +55,7 @@ impl JobFiles {
         let mut bytes = 0;
         for inside in local(self.bucket.as_deref()) {
             for entry in fs::read_dir(self.folder.join(inside))? {
-                // Err: it is removed meanwhile.
+                // Err: the file was removed meanwhile.
                 bytes += entry?.metadata().map_or(0, |metadata| metadata.len());
             }
         }
@@ -65,7 +65,7 @@ impl JobFiles {
     /// Takes `bytes` of the space of all files.
     ///
     /// # Errors
-    /// It has fewer left.
+    /// Fewer bytes are left.
     pub(in crate::jobs) fn reserve(&self, bytes: u64) -> Result<(), JobError> {
         let limit = self.limits.total_bytes;
         let add = |used: u64| used.checked_add(bytes).filter(|used| *used <= limit);
@@ -87,7 +87,7 @@ impl JobFiles {
         self.remove_unnamed(named, AGES).await
     }
 
-    /// Removes files that no job names and that are as old, by folder.
+    /// Removes files that no job names and that have at least these ages, by folder.
     pub(super) async fn remove_unnamed(&self, named: &Named, ages: Ages) -> Result<(), JobError> {
         let removed = self.remove_from_folder(named, ages);
         removed.map_err(JobError::disk("removing files of expired jobs"))?;
@@ -113,7 +113,7 @@ impl JobFiles {
         Ok(())
     }
 
-    /// The same in the folder.
+    /// The part of [`Self::remove_unnamed`] in the folder.
     fn remove_from_folder(&self, named: &Named, ages: Ages) -> io::Result<()> {
         for (inside, age) in local(self.bucket.as_deref()).iter().zip(ages) {
             for entry in fs::read_dir(self.folder.join(inside))? {
@@ -127,7 +127,7 @@ impl JobFiles {
                 if is_old && !named.has(&name) && !held.contains_key(&name) {
                     match fs::remove_file(entry.path()) {
                         Ok(()) => self.release(metadata.len()),
-                        // Another process was first.
+                        // Another process has removed it first.
                         Err(error) if error.kind() == io::ErrorKind::NotFound => {}
                         Err(error) => return Err(error),
                     }

@@ -5,7 +5,7 @@ use tokio::task::spawn_blocking;
 use crate::jobs::Failure;
 use crate::refusal::Code;
 
-/// Runs what reads files on a blocking thread.
+/// Runs work that reads files on a blocking thread.
 pub(super) async fn in_background<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, Failure> + Send + 'static,
 ) -> Result<T, Failure> {

@@ -12,7 +12,7 @@ use crate::store::StoredBaseEpoch;
 
 use super::background::in_background;
 
-/// Epochs of a base that are written at a time.
+/// Epochs of a base that are written in one chunk.
 const EPOCHS_PER_PIECE: usize = 256;
 
 /// The epochs of a base with its position and antenna.
@@ -25,7 +25,7 @@ pub(super) struct BaseEpochs {
     pub(super) frame: Option<CoordinateFrame>,
 }
 
-/// Whether a base has epochs from the begin to the end of a span.
+/// Whether the epochs of a base extend from the beginning to the end of a span.
 pub(super) fn covers(
     epochs: &[StoredBaseEpoch],
     (from, until): (GpsTime, GpsTime),
@@ -43,9 +43,9 @@ pub(super) fn named(offer: &PastBase, what: &str) -> String {
     format!("{}{}: {what}", offer.id(), distance.unwrap_or_default())
 }
 
-/// The epochs of a base as a RINEX 3.05 file that is written in pieces.
+/// The epochs of a base as a RINEX 3.05 file that is written in chunks.
 pub(super) struct BaseText {
-    /// `None` while a piece is written.
+    /// `None` while a chunk is written.
     writer: Option<ObservationWriter<Vec<u8>>>,
     epochs: IntoIter<StoredBaseEpoch>,
     is_done: bool,
@@ -74,7 +74,7 @@ impl BaseText {
         .await
     }
 
-    /// The next piece; `None` at the end.
+    /// The next chunk; `None` at the end.
     ///
     /// # Errors
     /// An epoch cannot be written.

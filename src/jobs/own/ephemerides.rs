@@ -1,4 +1,4 @@
-//! The ephemerides to add to a job: those that the service has, or files of archives.
+//! The ephemerides to add to a job: those of the service, or files of archives.
 
 use tokio::task::spawn_blocking;
 
@@ -12,16 +12,16 @@ use crate::refusal::Code;
 
 use super::background::in_background;
 
-/// Name of the input with the ephemerides that the service has.
+/// Name of the input with the service's ephemerides.
 const OWN_NAVIGATION: &str = "the service's own ephemerides";
-/// Files of this much time before a recording may have ephemerides for its begin (s).
+/// Files are needed from this long before a recording, for ephemerides at its beginning (s).
 const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
-/// A file of ephemerides: its name, its bytes and what is in it.
+/// A file of ephemerides: its name, its bytes and its content.
 pub(super) type Ephemerides = (String, Vec<u8>, Navigation);
 
 /// The files of ephemerides to add for a span of time, each with its name: those that the service
-/// has `now`, or those of the archives.
+/// has (`now`), or those of the archives.
 ///
 /// # Errors
 /// There are no ephemerides of that time, or they cannot be written.
@@ -67,7 +67,7 @@ pub(super) async fn chosen(
 /// The files of archives with ephemerides for a span of time.
 ///
 /// # Errors
-/// Why they cannot be had: no archive could be asked, or none of the files can be read.
+/// No archive could be asked, or none of the files can be read.
 async fn archived(
     archives: &NavigationArchives,
     (from, until): (GpsTime, GpsTime),

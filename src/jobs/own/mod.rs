@@ -1,15 +1,15 @@
-//! What the service adds to a job of its own: ephemerides and a base that its files lack.
+//! Inputs that the service adds to a job: ephemerides and a base that the files of the job lack.
 //!
-//! The task that fetches inputs does it before the job can run. First the rover's file is read for
-//! its times, in turns of the solver pool. What is added becomes an input like an uploaded file, so
-//! that each run of the job computes with the same.
+//! The task that fetches inputs adds them before the job can run. First it reads the rover's file
+//! for its times, in turns of the solver pool. An added file becomes an input like an uploaded one,
+//! so that each run of the job computes with the same inputs.
 //!
-//! - **Ephemerides** of the receivers' own data come first: then nothing is added, and the
-//!   recording is positioned as by `graphfix solve`. Else those that the service has now, if they
-//!   are in force all the time; else the files of that time from the operator's archives; else
-//!   those that the service has, if they are in force some of the time.
-//! - **A base** is that of the request, else the nearest one, with its stored epochs of that time,
-//!   or those of its archive's files.
+//! - **Ephemerides** in the receivers' own data come first: with them nothing is added, and the
+//! recording is positioned as by `graphfix solve`. Otherwise the service adds its present
+//! ephemerides, if they are in force all the time. Otherwise it adds the files of that time from
+//! the operator's archives; without such files its present ephemerides, if they are in force some
+//! of the time. - **A base** is the one in the request, otherwise the nearest one. Its epochs are
+//! the stored ones of that time, or those of its archive's files.
 
 mod background;
 mod base_epochs;
@@ -47,10 +47,10 @@ use background::in_background;
 use base_epochs::{BaseEpochs, BaseText, covers, named};
 use ephemerides::chosen;
 
-/// Bases whose archives are asked for one job.
+/// Most bases whose archives are asked for one job.
 const ARCHIVES_MAX: usize = 5;
 
-/// What adds inputs to a job.
+/// The work of adding inputs to a job.
 pub(super) struct Adding<'a> {
     pub(super) desk: &'a Desk,
     pub(super) tenant: Tenant,
@@ -58,11 +58,11 @@ pub(super) struct Adding<'a> {
     pub(super) upload: &'a mut Upload,
 }
 
-/// What the files of a recording say.
+/// The content of the files of a recording.
 struct Surveyed {
-    /// Times of its first and last epoch; `None` if nothing dates them.
+    /// Times of its first and last epoch; `None` if the files contain no date.
     span: Option<(GpsTime, GpsTime)>,
-    /// The ephemerides in the files, else those that the receivers have decoded.
+    /// The ephemerides in the files, otherwise those that the receivers have decoded.
     navigation: Navigation,
 }
 
@@ -77,8 +77,8 @@ struct Files {
 }
 
 impl Adding<'_> {
-    /// Adds to a job what its files lack, if the service has it. Returns the files that were added;
-    /// `None` if the job is stopped.
+    /// Adds what the files of a job lack, if the service has it. Returns the added files; `None` if
+    /// the job is stopped.
     ///
     /// # Errors
     /// The rover's file cannot be read, the service has no base or no ephemerides of its time, or
@@ -130,8 +130,9 @@ impl Adding<'_> {
         Ok(Some(added))
     }
 
-    /// Adds the files of a base's archive to a job over a session, if the base has not stored all
-    /// epochs of its time: an archive is asked only for what rovers have needed.
+    /// Adds the files of a base's archive to a job over a session, if not all epochs of its time
+    /// are stored. They may be missing because archives are asked only for times that rovers
+    /// needed.
     async fn add_to_session(
         &mut self,
         request: &mut JobRequest,
@@ -174,7 +175,7 @@ impl Adding<'_> {
                 let navigation = aiding.navigation.of(&self.tenant).current().navigation;
                 Ok(Some(vec![self.store_base(request, found, &navigation).await?]))
             }
-            // The run takes what is stored.
+            // The run uses the stored epochs.
             Ok(_) | Err(_) => Ok(Some(Vec::new())),
         }
     }
@@ -240,7 +241,7 @@ impl Adding<'_> {
                     none => match Survey::open(&rover, base.as_ref(), &navigation, files.reference)
                     {
                         Ok(opened) => none.insert(opened),
-                        // The ephemerides that are added may date it.
+                        // The added ephemerides may give the date.
                         Err(RecordingError::NoReferenceTime { .. }) => {
                             return Ok(Some(Surveyed {
                                 span: None,
@@ -261,7 +262,7 @@ impl Adding<'_> {
         .await
     }
 
-    /// Where the rover is, if its file and these ephemerides tell it.
+    /// The position of the rover, if its file and these ephemerides give one.
     async fn position(
         &self,
         files: Files,
@@ -277,10 +278,10 @@ impl Adding<'_> {
         .await
     }
 
-    /// The epochs of the base that is asked for, or of the nearest one that has any.
+    /// The epochs of the requested base, or of the nearest base that has any.
     ///
     /// # Errors
-    /// No base has epochs of that time; the text says why.
+    /// No base has epochs of that time; the text gives the reason.
     async fn base(
         &self,
         choice: BaseChoice<String>,
@@ -329,7 +330,7 @@ impl Adding<'_> {
         })
     }
 
-    /// The epochs of a base of its archive's files; `None` if these have none of the time.
+    /// The epochs in the files of a base's archive; `None` if the files have none of that time.
     async fn archived(
         &self,
         offer: &PastBase,
@@ -379,7 +380,7 @@ impl Adding<'_> {
     /// The result of work that may ask archives; `None` if the job is stopped.
     ///
     /// # Errors
-    /// It takes longer than the fetch of an input may.
+    /// It takes longer than the fetch of an input is allowed to take.
     async fn awaited<T>(&self, work: impl Future<Output = T>) -> Result<Option<T>, Failure> {
         let longest = Duration::from_secs(self.desk.limits.fetch_s);
         let done = unless_stopped(&self.running, timeout(longest, work)).await;
@@ -412,7 +413,7 @@ fn at_part(error: &JobError, part: Part) -> Failure {
 }
 
 impl Files {
-    /// The rover's, the base's and those of navigation data.
+    /// The inputs of the rover, of the base and of navigation data.
     fn inputs(&self, watched: &Watched) -> (Input, Option<Input>, Vec<Input>) {
         let input = |part: Part, file: &Arc<File>| {
             watched.input(file.clone(), self.unpacked_bytes, part, part.name())
