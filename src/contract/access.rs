@@ -1,7 +1,7 @@
-//! Which right each call needs: one table for both doors.
+//! The right that each call needs: one table for both doors.
 //!
-//! A door serves nothing that is not in this table, so a call without an entry cannot exist. It
-//! looks a request up by its method and path before it reads anything else of it.
+//! A door serves only calls in this table, so no call is without an entry. It looks a request up by
+//! its method and path before it reads any other part of the request.
 
 use std::net::IpAddr;
 
@@ -11,28 +11,28 @@ use crate::refusal::Code;
 
 use super::{Refusal, Service};
 
-/// What a call needs.
+/// The credential that a call needs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// Nothing: health, and what is the same in every service of this version.
+    /// None: health, and content that is the same in every service of this version.
     Nothing,
     /// A key, whatever its rights.
     Key,
     /// A key with one of these rights.
     OneOf(Rights),
-    /// A key of the operator with one of these rights: what is of all tenants together.
+    /// A key of the operator with one of these rights, for data of all tenants together.
     OfOperator(Rights),
 }
 
-/// A call, or a page.
+/// A call, or a page of the dashboard.
 #[derive(Clone, Copy, Debug)]
 pub struct Call {
-    /// Its path on gRPC, without the package of this service; with its package, and with `/` at the
-    /// front, if that is another one. Empty if it is of REST only.
+    /// Its path on gRPC without the package of this service. If the package is another one, the
+    /// path has it, and `/` at the front. Empty if only REST has the call.
     pub grpc: &'static str,
-    /// Its method and path on REST; empty if it is of gRPC only.
+    /// Its method and path on REST; empty if only gRPC has the call.
     pub rest: &'static str,
-    /// What it needs.
+    /// The credential that it needs.
     pub need: Need,
     /// Its name in the audit log, if it is an administrative act.
     pub act: Option<&'static str>,
@@ -43,7 +43,7 @@ impl Call {
         Self { grpc, rest, need, act: None }
     }
 
-    /// The same as an administrative act.
+    /// The same call as an administrative act with this name.
     const fn act(self, act: &'static str) -> Self {
         Self { act: Some(act), ..self }
     }
@@ -149,25 +149,25 @@ const REFLECTION_ALPHA: &str = "/grpc.reflection.v1alpha.ServerReflection/Server
 /// The package of this service on gRPC.
 const PACKAGE: &str = "/graphfix.v1.";
 
-/// What a request brings to show who sends it.
+/// The credential in a request.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Credential<'a> {
     /// Nothing.
     None,
-    /// A key, or a text in its place.
+    /// A key, or a text in its header that is not a key.
     Key(&'a str),
     /// The cookie of a browser that is signed in, and the token for changes.
     Cookie(&'a str, CsrfToken<'a>),
 }
 
-/// What a request is for.
+/// The call that a request is for.
 #[derive(Clone, Debug)]
 pub(crate) enum Target {
     /// This call.
     Call(&'static Call),
-    /// The path has calls, with these methods, but none with that of the request.
+    /// The path has calls with these methods, but none with the method of the request.
     OtherMethod(Vec<&'static str>),
-    /// No path of the table.
+    /// No path of the table matches.
     Unknown,
 }
 
@@ -200,7 +200,7 @@ fn has_grpc_path(call: &Call, path: &str) -> bool {
     }
 }
 
-/// Whether a path, as it was sent, has the form of a template. What stands in braces is not empty.
+/// Whether a path, as sent, matches a template. A part in braces must not be empty.
 fn has_form(path: &str, template: &str) -> bool {
     let template = template.split_once('?').map_or(template, |(path, _)| path);
     let (mut segments, mut forms) = (path.split('/'), template.split('/'));
@@ -227,10 +227,10 @@ fn has_form(path: &str, template: &str) -> bool {
 }
 
 impl Service {
-    /// Who sends a request for this call with this credential; `None` where nobody needs one.
+    /// The sender of a request for this call with this credential; `None` if no key is needed.
     ///
     /// # Errors
-    /// The credential is missing or not in force, or none of its rights is one that the call needs.
+    /// The credential is missing or not in force, or has none of the rights that the call needs.
     pub(crate) fn admit(
         &self,
         call: &Call,
@@ -305,7 +305,7 @@ mod tests {
         }
     }
 
-    /// Calls of one method and path need the same, as only the first of them is found.
+    /// Calls with the same method and path need the same, because only the first of them is found.
     #[test]
     fn calls_of_one_path_need_the_same() {
         let path = |call: &Call| call.rest.split('?').next().unwrap_or_default().to_owned();

@@ -1,7 +1,7 @@
 //! The entries of refused calls in the audit log.
 //!
-//! The desks write the entry of an act that is done, in the act's transaction. A call that is
-//! refused has no such transaction: its entry is written before the answer.
+//! The desks write the entry of an act that is done, in the act's transaction. A refused call has
+//! no such transaction: its entry is written before the answer.
 
 use std::time::{Duration, Instant};
 
@@ -16,18 +16,18 @@ use crate::tenant::Tenant;
 use super::access::{Call, Credential, Need, Target};
 use super::{Refusal, Service};
 
-/// How long a refusal waits until its entry is written.
+/// Longest time that a refusal waits for its entry to be written.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Longest id, and longest name of a tenant (characters).
 const ID_MAX: usize = 63;
 
-/// The rights of people who administer a service. What a device does to its own session is not an
-/// administrative act.
+/// The rights of people who administer a service. The acts of a device on its own session are not
+/// administrative.
 pub(super) const ADMINISTRATIVE: Rights = Rights::of(&[Right::Operate, Right::Admin]);
 
 impl Service {
-    /// The entry of a request that is refused for its key; `None` if it is for no administrative
-    /// act, or the actor has too many.
+    /// The entry of a request that is refused because of its key. `None` if the request is not an
+    /// administrative act, or if the actor already has too many entries.
     pub(crate) fn refused_request(
         &self,
         target: &Target,
@@ -58,8 +58,8 @@ impl Service {
         self.refused_act(author, call.act?, "", refusal)
     }
 
-    /// The entry of a refused act; `None` for a failure of the service, which its log has, or if
-    /// the actor has too many.
+    /// The entry of a refused act. `None` for a failure of the service, which is in the log, or if
+    /// the actor already has too many entries.
     pub(super) fn refused_act(
         &self,
         author: Author,
@@ -81,7 +81,7 @@ impl Service {
         Some(author.is_refused(act, refusal.code, unix_ms()))
     }
 
-    /// Writes the entry of a refused call, if there is one. The call stays refused if that fails.
+    /// Writes the entry of a refused call, if there is one. The call is refused even if this fails.
     pub(crate) async fn note_refused(&self, entry: Option<AuditEntry>) {
         let Some(entry) = entry else { return };
         let noted = timeout(PATIENCE, self.sessions().store().note(&entry)).await;
@@ -96,7 +96,7 @@ impl Service {
     }
 }
 
-/// Whether a call is an administrative act, if the holder of this key asks for it.
+/// Whether a call is an administrative act when the holder of this key sends it.
 fn is_act_of(call: &Call, known: Option<&Pass>) -> bool {
     let is_of_devices = match call.need {
         Need::OneOf(rights) => rights.meets(Rights::of(&[Right::Device])),
@@ -106,14 +106,14 @@ fn is_act_of(call: &Call, known: Option<&Pass>) -> bool {
     call.act.is_some() && (administers || !is_of_devices)
 }
 
-/// The holder of a key, or whoever needs none, as the author of an act.
+/// The holder of a key as the author of an act; without a key, the loopback actor.
 pub(super) fn author_of(pass: &Pass, request: String, node: &str) -> Author {
     let actor = pass.key().unwrap_or(LOOPBACK).to_owned();
     Author { actor, tenant: pass.tenant().clone(), request, node: node.to_owned() }
 }
 
-/// The object of a refused act, unless it does not exist or belongs to another: who asks for
-/// something by a wrong name may have written a secret.
+/// The object of a refused act, unless the object does not exist or belongs to another tenant. In
+/// that case the text may be anything, even a secret.
 fn own_object(class: Class, object: &str) -> &str {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_' || byte == b'-';
     let is_own = !matches!(class, Class::NotFound | Class::Forbidden);

@@ -1,4 +1,4 @@
-//! The memory of all requests: one budget in bytes, of which each request has a lease.
+//! The memory of all requests: one budget in bytes, from which each request has a lease.
 //!
 //! A lease is extended before memory is used: before a body is read, before it is unpacked, and
 //! before a message is decoded. It ends with the request. A quarter of the budget is for small
@@ -19,9 +19,9 @@ use crate::traces::Trace;
 
 use super::Refusal;
 
-/// What every request uses, whatever its content (bytes).
+/// Memory that every request uses besides its content (bytes).
 const REQUEST_BYTES: usize = 4 << 10;
-/// A request is small up to this size (bytes).
+/// Largest memory of a small request (bytes).
 const SMALL_BYTES: usize = 128 << 10;
 
 tokio::task_local! {
@@ -38,7 +38,7 @@ struct Shared {
     total: usize,
     used: AtomicUsize,
     limits: IntakeLimits,
-    /// Bytes of all bodies that have arrived, before any unpacking.
+    /// Bytes of all bodies that have arrived, as sent.
     arrived: Counter,
 }
 
@@ -50,7 +50,7 @@ pub(crate) struct Lease(Arc<Leased>);
 struct Leased {
     budget: Budget,
     reserved: AtomicUsize,
-    /// Bytes of the body that have arrived, before any unpacking.
+    /// Bytes of the body that have arrived, as sent.
     arrived: AtomicUsize,
     /// Bytes of a stream's body that have arrived and are not decoded yet.
     undecoded: AtomicUsize,
@@ -58,7 +58,7 @@ struct Leased {
     message: AtomicUsize,
     /// Identifies the request in answers and in the log.
     id: Uuid,
-    /// Who sends it; `None` if nobody needs a key for it.
+    /// The sender; `None` if no key is needed.
     pass: Option<Pass>,
     /// The trace of the request, if it is traced.
     trace: OnceLock<Arc<Trace>>,
@@ -77,7 +77,7 @@ impl Budget {
         }))
     }
 
-    /// The lease of a request of `pass` that begins.
+    /// The lease of a request of `pass` that begins now.
     ///
     /// # Errors
     /// The budget is exhausted.
@@ -87,7 +87,7 @@ impl Budget {
         Ok(lease)
     }
 
-    /// The lease of a request that uses no memory, as it is refused. The answer and the log have
+    /// The lease of a request that is refused and uses no memory. It gives the answer and the log
     /// its id.
     pub(crate) fn empty_lease(&self, pass: Option<Pass>) -> Lease {
         Lease(Arc::new(Leased {
@@ -103,7 +103,7 @@ impl Budget {
         }))
     }
 
-    /// Bytes of all bodies that have arrived, before any unpacking.
+    /// Bytes of all bodies that have arrived, as sent.
     pub(super) fn arrived(&self) -> &Counter {
         &self.0.arrived
     }
@@ -113,12 +113,12 @@ impl Budget {
         self.0.used.load(Ordering::Acquire)
     }
 
-    /// Bytes in all.
+    /// Size of the budget (bytes).
     pub(super) fn total(&self) -> usize {
         self.0.total
     }
 
-    /// The part of the budget that large requests share (bytes).
+    /// The part of the budget that large requests may use (bytes).
     fn of_large(&self) -> usize {
         self.0.total - self.0.total / 4
     }
@@ -135,7 +135,7 @@ impl Lease {
         CURRENT.scope(self, work).await
     }
 
-    /// The same for work that does not wait.
+    /// Like [`Self::scope`], for work that does not wait.
     pub(crate) fn during<T>(&self, work: impl FnOnce() -> T) -> T {
         CURRENT.sync_scope(self.clone(), work)
     }
@@ -145,20 +145,20 @@ impl Lease {
         self.0.id
     }
 
-    /// Who sends the request; `None` if nobody needs a key for it.
+    /// The sender of the request; `None` if no key is needed.
     pub(crate) fn pass(&self) -> Option<&Pass> {
         self.0.pass.as_ref()
     }
 
     /// Notes that the request is traced.
     pub(crate) fn set_trace(&self, trace: Trace) {
-        // Err: it has a trace already, which stays.
+        // Err: the request already has a trace, which stays.
         self.0.trace.set(Arc::new(trace)).ok();
     }
 
     /// Notes the session that the request names.
     pub(crate) fn set_session(&self, id: &str) {
-        // Err: it names another one, too; the first is that of its path.
+        // Err: the request names another session, too. The first one, from its path, stays.
         self.0.session.set(id.into()).ok();
     }
 
@@ -199,15 +199,15 @@ impl Lease {
         Ok(())
     }
 
-    /// Returns what is reserved beyond `bytes`, because the rest is freed.
+    /// Returns everything that is reserved beyond `bytes`, because that memory is free again.
     pub(crate) fn shrink_to(&self, bytes: usize) {
         let Leased { budget, reserved, .. } = &*self.0;
         let before = reserved.fetch_min(bytes, Ordering::AcqRel);
         budget.0.used.fetch_sub(before.saturating_sub(bytes), Ordering::AcqRel);
     }
 
-    /// Whether memory is short: a stream then reads no further message before the one on its way is
-    /// answered.
+    /// Whether memory is short. A stream then reads no further message until its earlier messages
+    /// are answered.
     pub(crate) fn is_short(&self) -> bool {
         let budget = &self.0.budget;
         budget.total() / 2 < budget.used()
@@ -223,7 +223,7 @@ impl Lease {
         Ok(())
     }
 
-    /// Notes that a message was decoded: its length, and its bytes in the body.
+    /// Notes that a message was decoded: its length, and the bytes that it took in the body.
     pub(crate) fn note_decoded(&self, length: usize, in_body: usize) {
         let rest = |undecoded: usize| Some(undecoded.saturating_sub(in_body));
         // Err: never, as the closure always gives a value.
@@ -236,10 +236,10 @@ impl Lease {
         self.0.message.load(Ordering::Acquire)
     }
 
-    /// Leaves a stream `in_flight` bytes beside those that are not decoded yet.
+    /// Sets the memory of a stream to `in_flight` bytes, and the bytes that are not decoded yet.
     ///
     /// # Errors
-    /// It has fewer, and the budget is exhausted.
+    /// It has less memory, and the budget is exhausted.
     pub(crate) fn settle(&self, in_flight: usize) -> Result<(), Refusal> {
         let whole = REQUEST_BYTES + self.0.undecoded.load(Ordering::Acquire) + in_flight;
         self.shrink_to(whole);
@@ -253,7 +253,7 @@ impl Lease {
         self.0.budget.0.arrived.inc_by(bytes as u64);
     }
 
-    /// Bytes of the body that have arrived, before any unpacking.
+    /// Bytes of the body that have arrived, as sent.
     pub(crate) fn arrived(&self) -> usize {
         self.0.arrived.load(Ordering::Acquire)
     }
@@ -273,8 +273,8 @@ impl Drop for Leased {
     }
 }
 
-/// An id for a request: a UUID of version 7, whose random part is chosen once and then counted up
-/// (RFC 9562, section 6.2, method 2). A random part for each request would be a system call each.
+/// An id for a request: a UUID of version 7. Its random part is chosen once and then counted up
+/// (RFC 9562, section 6.2, method 2), because random bits for each request would be a system call.
 fn request_id() -> Uuid {
     static BEGIN: LazyLock<([u8; 10], AtomicU64)> = LazyLock::new(|| {
         let [random @ .., _, _, _, _, _, _] = Uuid::new_v4().into_bytes();
@@ -335,7 +335,7 @@ mod tests {
         assert_eq!(budget.used(), 0);
     }
 
-    /// The bytes of a message are returned when it is decoded, its epochs when they are answered.
+    /// The bytes of a message are given back when it is decoded, its epochs when they are answered.
     #[test]
     fn a_stream_keeps_the_memory_of_what_is_on_its_way() {
         let budget = budget(16 << 20);

@@ -1,7 +1,7 @@
-//! Who calls: the desks as the caller's tenant sees them.
+//! The caller: who sends a request, and the desks as the caller's tenant sees them.
 //!
-//! Calls have a [`Caller`] and no [`Service`], so none of them reaches what belongs to another
-//! tenant. `tests/tidy` checks it.
+//! Calls get a [`Caller`] and no [`Service`], so none of them reaches data of another tenant.
+//! `tests/tidy` checks this.
 
 use std::sync::Arc;
 
@@ -25,7 +25,7 @@ use crate::traces::Trace;
 use super::audit::{ADMINISTRATIVE, author_of};
 use super::{Lease, Refusal, Service};
 
-/// Who calls, and the service as the caller's tenant sees it.
+/// The sender of a request, and the service as the sender's tenant sees it.
 #[derive(Clone)]
 pub struct Caller {
     service: Service,
@@ -34,11 +34,10 @@ pub struct Caller {
 }
 
 impl Service {
-    /// Who has sent the request that the present task serves.
+    /// The sender of the request that the present task serves.
     ///
     /// # Errors
-    /// Nobody is known to have sent it: the call is not one that asks for a key, or there is no
-    /// request.
+    /// The sender is unknown: the call needs no key, or there is no request.
     pub(crate) fn caller(&self) -> Result<Caller, Refusal> {
         let lease = Lease::current();
         let pass = lease.as_ref().and_then(|lease| lease.pass().cloned());
@@ -49,7 +48,7 @@ impl Service {
         Ok(self.caller_of(pass, trace))
     }
 
-    /// Who calls within this process, while nobody needs a key.
+    /// A caller within this process, while the service needs no key.
     ///
     /// # Errors
     /// The service has keys.
@@ -69,7 +68,7 @@ impl Caller {
         self.pass.tenant()
     }
 
-    /// Id of the caller's key, for the log; `nobody's key` where none is needed.
+    /// Id of the caller's key, for the log; `nobody's key` if no key is needed.
     pub(crate) fn key(&self) -> &str {
         self.pass.key().unwrap_or("nobody's key")
     }
@@ -88,10 +87,10 @@ impl Caller {
         }
     }
 
-    /// Checks that the caller's key allows to read sessions.
+    /// Checks that the caller's key has the right to read sessions.
     ///
     /// # Errors
-    /// It does not.
+    /// It does not have it.
     pub(super) fn check_reader(&self) -> Result<(), Refusal> {
         let has = self.pass.rights();
         if has.meets(Rights::of(&[Right::Read])) {
@@ -101,11 +100,11 @@ impl Caller {
         Err(Refusal::new(Code::RightMissing, message))
     }
 
-    /// Checks that a secret of the caller's may be stored: encrypted, or while the service needs no
-    /// API key, as it then serves this machine only.
+    /// Checks that a secret of the caller may be stored: it is encrypted, or the service needs no
+    /// API key and so serves this machine only.
     ///
     /// # Errors
-    /// The operator has given no key of secrets.
+    /// The operator has given no key that encrypts secrets.
     pub(super) fn check_secret(&self, field: &'static str) -> Result<(), Refusal> {
         if self.secrets().key_id().is_some() || !self.service.keys().are_needed() {
             return Ok(());
@@ -114,7 +113,7 @@ impl Caller {
         Err(Refusal::new(Code::SecretsKeyMissing, message).at(field))
     }
 
-    /// The keys of secrets.
+    /// The keys that encrypt secrets.
     pub(super) fn secrets(&self) -> &Secrets {
         self.service.sessions().store().secrets()
     }
@@ -144,18 +143,18 @@ impl Caller {
         self.service.jobs().of(self.tenant())
     }
 
-    /// The keys, each call of which names a tenant.
+    /// The API keys. Each of their calls names a tenant.
     pub(crate) fn keys(&self) -> &Keys {
         self.service.keys()
     }
 
-    /// The quotas, each call of which names a tenant, but the list.
+    /// The quotas. Each of their calls names a tenant, except the list.
     pub(crate) fn quotas(&self) -> &TenantQuotas {
         self.service.quotas()
     }
 
-    /// Frames of bases by their id, and the table of the geoid: what solutions are presented with.
-    /// A solution names the base that it rests on, so this tells nothing of other bases.
+    /// The data with which solutions are presented: frames of bases by their id, and the table of
+    /// the geoid. A solution names only its own base, so this reveals nothing about other bases.
     pub(super) fn aiding(&self) -> &AidingDesk {
         self.service.aiding()
     }
@@ -175,18 +174,18 @@ impl Caller {
         self.service.file_reader().await
     }
 
-    /// The right to another open stream, which it keeps until it ends.
+    /// The right to open another stream. The stream keeps the permit until it ends.
     ///
     /// # Errors
-    /// As many are open as allowed.
+    /// The limit of open streams is reached.
     pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
         self.service.stream_permit()
     }
 
-    /// The right to another open watch, which it keeps until it ends.
+    /// The right to open another watch. The watch keeps the permit until it ends.
     ///
     /// # Errors
-    /// As many are open as allowed.
+    /// The limit of open watches is reached.
     pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
         self.service.watch_permit()
     }
@@ -201,18 +200,18 @@ impl Caller {
         self.service.drained()
     }
 
-    /// The caller as the author of what this request does.
+    /// The caller as the author of the acts of this request.
     pub(super) fn author(&self) -> Author {
         let request = Lease::current().map(|lease| lease.request_id().to_string());
         author_of(&self.pass, request.unwrap_or_default(), self.service.node())
     }
 
-    /// The same, if the caller administers the service; `None` for a device.
+    /// Like [`Self::author`], if the caller administers the service; `None` for a device.
     pub(super) fn administrator(&self) -> Option<Author> {
         self.pass.rights().meets(ADMINISTRATIVE).then(|| self.author())
     }
 
-    /// The outcome of an act on this object. If it is refused, an entry says so.
+    /// The outcome of an act on this object. If it is refused, an entry is written.
     pub(super) async fn noted<T>(
         &self,
         call: &'static str,
@@ -228,17 +227,17 @@ impl Caller {
         outcome
     }
 
-    /// Writes the entry of an act that is done, for acts of several transactions.
+    /// Writes the entry of an act that is done, for an act with several transactions.
     ///
     /// # Errors
-    /// The store fails. The act is done, and may be done again.
+    /// The store fails. The act is done, and can be repeated.
     pub(super) async fn note(&self, call: &'static str, change: String) -> Result<(), StoreError> {
         let act = Act { call, tenant: self.tenant(), object: "", change };
         self.service.sessions().store().note(&self.author().does(act, unix_ms())).await
     }
 
-    /// A page of the audit log: of the caller's tenant, and for the operator of the filter's, or of
-    /// all.
+    /// A page of the audit log of the caller's tenant. The operator reads the tenant of the filter,
+    /// or all tenants.
     ///
     /// # Errors
     /// The page token or size is invalid, or the store fails.

@@ -14,7 +14,7 @@ use super::intake::{self, RawObservation, RawOdometry};
 use super::reason::reason;
 use super::{Presenter, Refusal, v1};
 
-/// The values of a solution's row that are not part of the solution.
+/// The values of a stored row besides its solution.
 #[derive(Clone, Copy, Debug)]
 pub struct Stored<'a> {
     /// The client's number of the epoch; zero if it has none.
@@ -157,7 +157,7 @@ pub fn solution(presented: &Presented<'_>, stored: Stored<'_>) -> v1::Solution {
     }
 }
 
-/// What limits the solution, and why its position is not in the frame that is asked for.
+/// The reasons of a solution, and why its position is not in the requested frame.
 fn reasons(presented: &Presented<'_>) -> Vec<v1::Reason> {
     let foreign = |refusal: FrameRefusal| v1::Reason {
         code: FrameRefusal::CODE.to_owned(),
@@ -185,7 +185,7 @@ fn relative(relative: &RelativeEstimate) -> v1::Relative {
         age_s: relative.age_s,
         ambiguities: count(relative.ambiguities),
         fixed_ambiguities: count(relative.fixed_ambiguities),
-        // Of integers that fit exactly it is infinite, and JSON has no such number.
+        // With exact integers the ratio is infinite, and JSON has no such number.
         ratio: relative.ratio.filter(|ratio| ratio.is_finite()),
         success_rate: relative.success_rate,
         fix_probability: relative.fix_probability,

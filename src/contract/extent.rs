@@ -49,11 +49,11 @@ impl Extent {
         self.others += count;
     }
 
-    /// Checks the counts, and reserves the memory of the decoded request: that of what is counted,
-    /// and `text_bytes` for its texts.
+    /// Checks the counts, and reserves the memory of the decoded request: that of the counted
+    /// fields, and `text_bytes` for its texts.
     ///
     /// # Errors
-    /// More epochs, observations or other fields than a request may have, or too little memory.
+    /// A request has more epochs, observations or other fields than allowed, or memory is short.
     pub(crate) fn reserve(self, text_bytes: usize, lease: &Lease) -> Result<(), Refusal> {
         let Self { epochs, observations, largest: (index, count), others } = self;
         let limits = lease.limits();
@@ -83,7 +83,7 @@ impl Extent {
     }
 }
 
-/// Counts what `bytes` contain of a protobuf message `M`. Invalid bytes are left to the decoder.
+/// Counts the content of an encoded message `M`. Invalid bytes are left to the decoder.
 pub(crate) fn extent_of<M: 'static>(bytes: &[u8]) -> Extent {
     let of_epochs = epochs_field(TypeId::of::<M>());
     let mut extent = Extent::default();

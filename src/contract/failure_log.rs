@@ -1,9 +1,9 @@
-//! The log of failures: one line each, with whose request it was.
+//! The log of failures: one line each, with the request that failed.
 
 use super::{Lease, Refusal};
 
 /// Writes a failure of the service to the log, with the request, the tenant and the session as far
-/// as they are known. The node stands at the beginning of each line.
+/// as they are known. Each line begins with the node.
 pub(crate) fn log_failure(refusal: &Refusal, what: &str) {
     let lease = Lease::current();
     let lease = lease.as_ref();

@@ -1,5 +1,5 @@
-//! Requests whose callers hang up: what they have begun is finished, and their memory is returned
-//! to the budget when it is free, not before.
+//! Requests whose callers disconnect: work that has begun is finished. Its memory is returned to
+//! the budget only when it is really free.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -9,15 +9,15 @@ use tokio::runtime::Handle;
 
 use super::Lease;
 
-/// Work that is finished also if nobody waits for it any more.
+/// Work that is finished even if nobody waits for it any more.
 struct Finished<T: Send + 'static> {
-    /// `None` when it is done.
+    /// The work; `None` when it is done.
     work: Option<Pin<Box<dyn Future<Output = T> + Send>>>,
     lease: Option<Lease>,
 }
 
-/// Runs `work`, which hands what the request has brought to others. If its future is dropped, a
-/// task finishes it, with the lease of the request.
+/// Runs `work`, which passes data of the request on to desks. If the returned future is dropped, a
+/// task finishes the work, with the lease of the request.
 pub(crate) async fn finished<T: Send + 'static>(
     work: impl Future<Output = T> + Send + 'static,
 ) -> T {
@@ -38,7 +38,7 @@ impl<T: Send + 'static> Future for Finished<T> {
 impl<T: Send + 'static> Drop for Finished<T> {
     fn drop(&mut self) {
         let (Some(work), lease) = (self.work.take(), self.lease.take()) else { return };
-        // Err: the runtime has ended, and with it whatever would be done.
+        // Err: the runtime has ended, so nothing can be finished.
         if let Ok(runtime) = Handle::try_current() {
             runtime.spawn(async move {
                 work.await;
@@ -63,7 +63,7 @@ mod tests {
         Budget::new(16 << 20, limits)
     }
 
-    /// A caller that hangs up leaves the memory in use until the work is done.
+    /// When a caller disconnects, its memory stays in use until the work is done.
     #[tokio::test]
     async fn memory_is_returned_when_it_is_free() {
         let budget = budget();
@@ -86,7 +86,7 @@ mod tests {
         }
     }
 
-    /// The same of work on a blocking thread.
+    /// The same for work on a blocking thread.
     #[tokio::test]
     async fn memory_is_returned_when_a_thread_is_ready() {
         let budget = budget();

@@ -4,7 +4,7 @@ use crate::refusal::Code;
 
 use super::Refusal;
 
-/// The value of a header, which is metadata on gRPC, or of the field that means the same; empty if
+/// The value of a header (on gRPC: metadata), or of the field with the same meaning; empty if
 /// neither is given.
 ///
 /// # Errors

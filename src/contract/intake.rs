@@ -17,8 +17,8 @@ use super::texts::brief;
 
 /// Largest pseudorange (m): radius of a geostationary orbit, and a clock error of 0.3 s.
 const PSEUDORANGE_MAX_M: f64 = 1.5e8;
-/// Largest carrier phase (cycles): receivers start counting anywhere, but beyond this an `f64` does
-/// not resolve 0.01 cycles.
+/// Largest carrier phase (cycles). Receivers begin to count at any value, but above this limit an
+/// `f64` does not resolve 0.01 cycles.
 const CARRIER_PHASE_MAX_CYCLES: f64 = 1e13;
 /// Largest Doppler (Hz): a receiver in low orbit with a bad oscillator.
 const DOPPLER_MAX_HZ: f64 = 1e6;
@@ -84,7 +84,7 @@ pub(crate) fn time_text(text: &str) -> Result<GpsTime, Refusal> {
     let parse = || {
         let (week, seconds) = text.split_once(':')?;
         let (week, seconds) = (week.parse().ok()?, seconds.parse::<f64>().ok()?);
-        // As an integer NaN would be 0.
+        // The conversion to an integer would turn NaN into 0.
         let ns = (!seconds.is_nan()).then(|| (seconds * 1e9).round() as i64)?;
         GpsTime::from_week_ns(week, ns)
     };
@@ -247,8 +247,8 @@ fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
     })
 }
 
-/// Groups observations by satellite, in the order of first appearance. Most receivers send them so
-/// already.
+/// Groups observations by satellite, in the order of first appearance. Most receivers already send
+/// them so.
 fn bring_satellites_together(observations: &mut [Observation]) {
     if are_together(observations) {
         return;
@@ -260,8 +260,8 @@ fn bring_satellites_together(observations: &mut [Observation]) {
     observations.sort_by_key(|observation| first[&observation.satellite]);
 }
 
-/// Whether the observations of each satellite are consecutive. Satellites are few, so looking
-/// through them is quicker than a table.
+/// Whether the observations of each satellite are consecutive. There are few satellites, so a
+/// linear search is faster than a table.
 fn are_together(observations: &[Observation]) -> bool {
     let mut satellites: Vec<SatelliteId> = Vec::with_capacity(64);
     for observation in observations {

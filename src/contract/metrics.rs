@@ -1,6 +1,6 @@
-//! What the service has done and uses, for Prometheus: every meter, with its name.
+//! Meters of the service for Prometheus: every meter, with its name.
 //!
-//! `docs/operations.md` lists the names with what they mean for an operator.
+//! `docs/operations.md` lists the names with their meaning for an operator.
 
 use std::borrow::Cow;
 use std::sync::atomic::AtomicU64;
@@ -22,9 +22,9 @@ use super::Service;
 /// States of streams of casters, as the API names them.
 const FEED_STATES: [&str; 3] = ["CONNECTING", "STREAMING", "WAITING"];
 
-/// A gauge of each tenant.
+/// A gauge with a value for each tenant.
 type OfTenants = Family<[(&'static str, String); 1], Gauge<f64, AtomicU64>>;
-/// What a tenant uses of a quota, if it is known, and the quota, if it has one.
+/// The use of a quota by a tenant, if it is known, and the quota, if there is one.
 type Budget = fn(&Meter) -> (Option<f64>, Option<f64>);
 
 /// The quotas that meters of tenants measure.
@@ -50,7 +50,7 @@ const BUDGETS: [(&str, &str, Budget); 5] = [
     }),
 ];
 
-/// A page of meters that is being written.
+/// The page of meters while it is written.
 struct Page(Registry);
 
 impl Page {
@@ -166,7 +166,7 @@ impl Service {
         page.gauge("draining", "1 while the service is about to stop, otherwise 0", is_draining);
     }
 
-    /// What tenants use of their quotas, as their meters know it, and these.
+    /// Writes what tenants use of their quotas, as their meters know it, and the quotas.
     fn write_tenants(&self, page: &mut Page) {
         let meters = self.sessions().meters().all();
         for (name, help, budget) in BUDGETS {
@@ -217,7 +217,7 @@ fn write_cluster(Page(registry): &mut Page, meters: &ClusterMeters) {
     registry.register("cluster_unanswered", help, meters.unanswered.clone());
 }
 
-/// What the process uses, under the names that all Prometheus clients give it.
+/// Meters of the process, under the names that all Prometheus clients use.
 fn process() -> Registry {
     let usage = Usage::now();
     let mut registry = Registry::with_prefix("process");

@@ -2,7 +2,7 @@
 //!
 //! One schema serves gRPC and REST. The messages are generated from `proto/`, together with their
 //! JSON form. Each call is a function from a request to an answer or a [`Refusal`]. A door only
-//! transports them: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
+//! transports both: gRPC as protobuf and `google.rpc.Status`, REST as JSON and problem documents.
 
 pub mod access;
 mod audit;

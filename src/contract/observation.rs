@@ -133,7 +133,7 @@ mod tests {
 
     use super::*;
 
-    /// The same message as `prost` derives it.
+    /// The same message with the implementation that `prost` derives.
     #[derive(Clone, PartialEq, Message)]
     struct Derived {
         #[prost(string, tag = "1")]
@@ -205,7 +205,7 @@ mod tests {
             prop_assert_eq!(&json["satellite"], &derived.satellite);
         }
 
-        /// Damaged bytes give the same as with the derived message, or the same error.
+        /// Damaged bytes give the same value or the same error as with the derived message.
         #[test]
         fn damaged_bytes_are_read_alike(
             observation in observation(),

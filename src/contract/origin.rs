@@ -1,4 +1,4 @@
-//! Errors of the desks and tools as refusals: each keeps its code, and gains the field at fault.
+//! Errors of the desks and tools as refusals. Each keeps its code and gets the field at fault.
 
 use crate::aiding::AidingError;
 use crate::aiding::bases::{BaseEpochRefusal, BaseFileError};
@@ -35,7 +35,7 @@ impl From<ConfigError> for Refusal {
     }
 }
 
-/// The names of all options, of whichever mode.
+/// The names of all options of all modes.
 fn option_names() -> String {
     PositioningOptions::names().collect::<Vec<_>>().join(", ")
 }
@@ -295,7 +295,7 @@ mod tests {
 
     use super::*;
 
-    /// What the message lists can be set, and nothing that can be set is left out.
+    /// The message lists exactly the options that can be set.
     #[test]
     fn an_unknown_option_is_told_those_of_all_modes() {
         let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General);

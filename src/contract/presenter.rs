@@ -1,4 +1,4 @@
-//! Solutions as callers receive them: in the frame and with the heights that a session asks for.
+//! Solutions as callers receive them: in the frame and with the heights that the options ask for.
 
 use crate::aiding::BaseBroker;
 use crate::config::OutputOptions;
@@ -22,12 +22,12 @@ impl Caller {
 }
 
 impl Presenter<'_> {
-    /// What is presented, and how.
+    /// The frame and heights in which solutions are presented.
     pub(super) const fn presentation(&self) -> &Presentation {
         &self.presentation
     }
 
-    /// A solution as its reader receives it. Its base's frame is that which the base has now.
+    /// A solution as its reader receives it, with the present frame of its base.
     pub(super) fn present<'a>(&self, solution: &'a Solution) -> Presented<'a> {
         self.presentation.present(solution, |base| self.bases.frame(base))
     }

@@ -1,4 +1,4 @@
-//! Whether the service can do its work now, and if not, why.
+//! Whether the service can work now, and if not, why.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -11,11 +11,11 @@ use crate::store::{CommitterHealth, CommitterState, DatabaseSetting, SettingRisk
 use super::Service;
 use super::refusal::{RETRY_AFTER, spread};
 
-/// Longest time without a confirmation by the database. An idle committer asks every two seconds,
+/// Longest time without a confirmation by the database. An idle committer probes every two seconds,
 /// and a commit has a deadline of five.
 const SILENCE_MAX: Duration = Duration::from_secs(10);
 
-/// Whether the service can do its work now, and if not, why.
+/// Whether the service can work now, and if not, why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "camelCase")]
 pub(crate) struct Readiness {
@@ -28,7 +28,7 @@ pub(crate) struct Readiness {
     pub retry_after_ms: Option<u64>,
     /// What prevents it; empty if ready.
     pub problems: Vec<String>,
-    /// What needs the operator, although the service can do its work.
+    /// What needs the operator's attention, although the service can work.
     pub warnings: Vec<String>,
     /// The service is about to stop.
     pub draining: bool,
@@ -68,7 +68,7 @@ pub(crate) struct DatabaseReadiness {
 pub(crate) struct ClusterReadiness {
     /// Names of the live nodes, as this one knows them.
     pub nodes: Vec<String>,
-    /// Name of the node that leads; absent while none does.
+    /// Name of the leading node; absent if there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub leader: Option<String>,
     /// Number of this node's lease.

@@ -1,4 +1,4 @@
-//! The reasons of a solution as the API spells them: values by name, and a remedy.
+//! The reasons of a solution in the form of the API: values by name, and a remedy.
 
 use prost_types::value::Kind;
 use prost_types::{ListValue, Struct, Value};

@@ -6,8 +6,8 @@ use uuid::Uuid;
 
 use crate::refusal::Code;
 
-/// The shortest delay before a request is sent again that was refused for want of capacity, or
-/// because the service cannot serve now.
+/// Shortest delay before a request is sent again that was refused because capacity was missing or
+/// the service cannot serve now.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(500);
 
 /// Why a request, or one epoch of it, is refused.
@@ -31,7 +31,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// A refusal that names no field, line or byte. It asks for a delay if time cures it.
+    /// A refusal that names no field, line or byte. It has a delay if a later attempt can succeed.
     pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
         let message = message.into();
         let (field, line, byte_offset) = (None, None, None);
@@ -54,8 +54,8 @@ impl Refusal {
         }
     }
 
-    /// The refusal that ended a body, found among the causes of `error`. Without one the body is
-    /// not packed as its `Content-Encoding` states: `MALFORMED_BODY`.
+    /// The refusal that ended a body, found among the causes of `error`. If there is none, the body
+    /// is not packed as its `Content-Encoding` states: `MALFORMED_BODY`.
     pub(crate) fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let causes = std::iter::successors(Some(error), |error| error.source());
         let refusal = causes.filter_map(|cause| cause.downcast_ref::<Self>()).next();
@@ -122,7 +122,7 @@ pub(super) fn spread(shortest: Duration) -> Duration {
 mod tests {
     use super::*;
 
-    /// What time cures asks for a delay, at random; what it does not cure asks for none.
+    /// A refusal that passes with time has a random delay; any other has none.
     #[test]
     fn what_time_cures_asks_for_a_delay() {
         for code in Code::ALL {

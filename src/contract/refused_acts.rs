@@ -1,7 +1,8 @@
-//! How many refused calls have an entry in the audit log, so that nobody fills it by being refused.
+//! Limits the entries of refused calls in the audit log, so that nobody fills the log by refused
+//! calls.
 //!
-//! An actor leaves [`BURST`] entries at once, and another each [`INTERVAL`]. An entry says how many
-//! calls were left out before it.
+//! An actor can cause [`BURST`] entries at once, and then one in each [`INTERVAL`]. An entry states
+//! how many calls before it have no entry.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -9,25 +10,25 @@ use std::time::{Duration, Instant};
 
 const BURST: u32 = 20;
 const INTERVAL: Duration = Duration::from_secs(60);
-/// Actors that are counted at the same time.
+/// Most actors that are counted at the same time.
 const ACTORS: usize = 4096;
 
-/// How many entries of refused calls each actor has left.
+/// The remaining entries of refused calls of each actor.
 #[derive(Debug, Default)]
 pub(super) struct RefusedActs(Mutex<HashMap<String, Spent>>);
 
-/// The entries of an actor.
+/// The used entries of an actor.
 #[derive(Debug)]
 struct Spent {
-    /// The time until which they are spent.
+    /// The time until which its entries are used up.
     until: Instant,
-    /// Calls that were left out since the last one.
+    /// Number of calls without an entry since the last entry.
     left_out: u64,
 }
 
 impl RefusedActs {
-    /// Counts a refused call of an actor. If it has an entry, returns how many were left out before
-    /// it.
+    /// Counts a refused call of an actor. If the call gets an entry, returns the number of calls
+    /// before it that got none.
     pub(super) fn count(&self, actor: &str, now: Instant) -> Option<u64> {
         let mut actors = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if ACTORS <= actors.len() && !actors.contains_key(actor) {

@@ -13,7 +13,7 @@ pub(crate) struct RequestMeters {
     pub(super) seconds: Family<Label, Histogram, fn() -> Histogram>,
 }
 
-/// How a request went.
+/// The outcome of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Outcome {
     /// It was answered, or its answer has begun.
@@ -47,7 +47,7 @@ const fn door(is_grpc: bool) -> &'static str {
 impl RequestMeters {
     pub(super) fn new() -> Self {
         let requests = Family::default();
-        // What has not occurred is reported as 0.
+        // An outcome that has not occurred is reported as 0.
         for (door, outcome) in ["grpc", "rest"].into_iter().flat_map(outcomes_of) {
             drop(requests.get_or_create(&[("door", door), ("outcome", outcome.name())]));
         }

@@ -1,8 +1,8 @@
 //! Which node of a cluster answers a request.
 //!
-//! A call that writes to a session is for the node to which the session belongs. A call that writes
-//! bases or navigation data, or asks for the health of their sources, is for the node that leads.
-//! Every node answers all others.
+//! A call that writes to a session belongs to the node that owns the session. A call that writes
+//! bases or navigation data, or asks for the health of their sources, belongs to the leader. Every
+//! node answers all other calls.
 
 use crate::cluster::Cluster;
 use crate::refusal::Code;
@@ -13,7 +13,7 @@ use super::access::{Call, Credential, Pass};
 use super::nodes::Nodes;
 use super::{Refusal, Service};
 
-/// Calls of the node to which the session belongs, by their paths on gRPC.
+/// Calls of the node that owns the session, by their paths on gRPC.
 const OF_OWNER: [&str; 8] = [
     "Sessions/Update",
     "Sessions/Reset",
@@ -24,17 +24,17 @@ const OF_OWNER: [&str; 8] = [
     "Positioning/Stream",
     "Positioning/StreamRaw",
 ];
-/// Services whose calls are all of the node that leads.
+/// Services whose calls all belong to the leader.
 const OF_LEADER: [&str; 2] = ["Bases/", "Navigation/"];
-/// Calls that may name a base which the leader has just created.
+/// Calls that may name a base that the leader has just created.
 const NAMES_BASES: [&str; 2] = ["Sessions/Create", "Sessions/Update"];
 
 impl Service {
-    /// The other node that a request is for; `None` if this one answers it. `session` is the id in
-    /// the request.
+    /// The other node that must answer a request; `None` if this one answers it. `session` is the
+    /// id in the request.
     ///
     /// # Errors
-    /// The database fails, or no node leads now.
+    /// The database fails, or the cluster has no leader now.
     pub(crate) async fn node_for(
         &self,
         call: &Call,
@@ -49,7 +49,7 @@ impl Service {
         }
         let id = session.and_then(SessionId::parse).filter(|_| OF_OWNER.contains(&call.grpc));
         match id {
-            // Whose task runs here is this node's, without a question to the database.
+            // If the task of the session runs here, this node owns it; no question to the database.
             Some(id) if !self.sessions().runs(&id) => {
                 let owner = cluster.owner(id.as_str()).await;
                 owner.map_err(|error| SessionError::from(error).into())
@@ -58,8 +58,8 @@ impl Service {
         }
     }
 
-    /// Gives up the session of a request that another node has sent on, so that it moves to where
-    /// the device's requests arrive. Returns whether it has.
+    /// Gives up the session of a request that another node has forwarded, so that the session moves
+    /// to the node at which the device's requests arrive. Returns whether it was given up.
     ///
     /// # Errors
     /// There is no such session, or the database fails.
@@ -76,8 +76,8 @@ impl Service {
         }
     }
 
-    /// Whether a request brings a key, its id (`forwarded`) or a sign-in that the command line or
-    /// another node may have made just now: it is not known here.
+    /// Whether a request has a key, the id of a key (`forwarded`) or a sign-in that is not known
+    /// here, because the command line or another node may have made it just now.
     pub(crate) fn may_be_new(&self, credential: Credential<'_>, forwarded: Option<&str>) -> bool {
         let (keys, is_of_cluster) = (self.keys(), self.nodes().is_some());
         match (credential, forwarded) {
@@ -90,7 +90,7 @@ impl Service {
         }
     }
 
-    /// Reads which keys and sign-ins were made and ended elsewhere until now.
+    /// Reads the keys and sign-ins that others have made or ended until now.
     ///
     /// # Errors
     /// The database fails.
@@ -98,8 +98,8 @@ impl Service {
         Ok(self.keys().catch_up().await?)
     }
 
-    /// Who sends a request that another node has checked and sent on with the id of its key, empty
-    /// for nobody's.
+    /// The sender of a request that another node has checked and forwarded with the id of the
+    /// sender's key; the id is empty if no key was needed.
     ///
     /// # Errors
     /// No key in force has this id here.
@@ -107,7 +107,7 @@ impl Service {
         Ok(self.keys().admit_by_id(key)?)
     }
 
-    /// The live node of this fence, if a request brings its secret.
+    /// Whether the live node with this fence has this secret.
     pub(crate) fn is_of_node(&self, fence: i64, secret: &str) -> bool {
         self.nodes().is_some_and(|nodes| nodes.cluster.is_of_node(fence, secret))
     }

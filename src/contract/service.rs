@@ -19,22 +19,22 @@ use super::nodes::Nodes;
 use super::refused_acts::RefusedActs;
 use super::{Budget, Refusal, RequestMeters, WebOrigins};
 
-/// Uploaded files that are read at the same time. More would take processor time from the
+/// Most uploaded files that are read at the same time. More would take processor time from the
 /// estimators.
 const FILE_READERS: usize = 1;
 
-/// The desks behind the doors. All clones share them. The doors clone it several times a request,
-/// so it is one pointer.
+/// The desks behind the doors. All clones share them. It is only a pointer, because the doors clone
+/// it several times for each request.
 #[derive(Clone)]
 pub struct Service(Arc<Desks>);
 
-/// Tiles below maps.
+/// Map tiles for the dashboard.
 pub(crate) struct Tiles {
-    /// Their address, with `{z}`, `{x}` and `{y}`.
+    /// Address of a tile, with `{z}`, `{x}` and `{y}`.
     pub(crate) template: String,
     /// Scheme, host and port of this address.
     pub(crate) origin: String,
-    /// Whose they are.
+    /// The credit line of their owner.
     pub(crate) attribution: String,
 }
 
@@ -52,12 +52,12 @@ struct Desks {
     file_readers: Arc<Semaphore>,
     /// Host names that requests may use, besides `localhost` and loopback addresses.
     hosts: Arc<[String]>,
-    /// Origins of web pages of other hosts that may call.
+    /// Origins of web pages on other hosts that may call the service.
     web_origins: WebOrigins,
     draining: Arc<watch::Sender<bool>>,
     node: Arc<str>,
     meters: RequestMeters,
-    /// Entries of refused calls in the audit log.
+    /// Limits the entries of refused calls in the audit log.
     refused_acts: Arc<RefusedActs>,
     /// TLS of the port; `None` if it is not encrypted.
     tls: Option<ServerTls>,
@@ -65,7 +65,7 @@ struct Desks {
     dashboard: DashboardConfiguration,
     /// The other nodes; `None` for a service without a cluster.
     nodes: Option<Nodes>,
-    /// Begins traces; `None` if nobody collects them.
+    /// Begins traces; `None` if there is no collector.
     tracer: Option<Tracer>,
     /// Limits the open streams.
     streams: Arc<Semaphore>,
@@ -131,19 +131,19 @@ impl Service {
         self
     }
 
-    /// The service with origins of web pages of other hosts that may call it.
+    /// The service with origins of web pages on other hosts that may call it.
     #[must_use]
     pub(crate) fn with_web_origins(mut self, origins: WebOrigins) -> Self {
         Arc::make_mut(&mut self.0).web_origins = origins;
         self
     }
 
-    /// The origins of web pages of other hosts that may call.
+    /// The origins of web pages on other hosts that may call the service.
     pub(crate) fn web_origins(&self) -> &WebOrigins {
         &self.0.web_origins
     }
 
-    /// The service with a port that is encrypted, unless `tls` is `None`.
+    /// The service with an encrypted port, unless `tls` is `None`.
     #[must_use]
     pub(crate) fn with_tls(mut self, tls: Option<ServerTls>) -> Self {
         Arc::make_mut(&mut self.0).tls = tls;
@@ -157,7 +157,7 @@ impl Service {
         self
     }
 
-    /// Tiles below the maps of the dashboard, if the operator names any.
+    /// Tiles for the maps of the dashboard, if the operator names any.
     pub(crate) fn tiles(&self) -> Option<Tiles> {
         let options = &self.0.dashboard;
         Some(Tiles {
@@ -174,7 +174,7 @@ impl Service {
         self
     }
 
-    /// Begins traces; `None` if nobody collects them.
+    /// Begins traces; `None` if there is no collector.
     pub(crate) fn tracer(&self) -> Option<&Tracer> {
         self.0.tracer.as_ref()
     }
@@ -211,7 +211,7 @@ impl Service {
         &self.0.meters
     }
 
-    /// Entries of refused calls in the audit log.
+    /// The limit of entries of refused calls in the audit log.
     pub(super) fn refused_acts(&self) -> &RefusedActs {
         &self.0.refused_acts
     }
@@ -231,10 +231,10 @@ impl Service {
         permit.expect("the semaphore is never closed")
     }
 
-    /// The right to another open stream, which it keeps until it ends.
+    /// The right to open another stream. The stream keeps the permit until it ends.
     ///
     /// # Errors
-    /// As many are open as allowed.
+    /// The limit of open streams is reached.
     pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
         self.0.streams.clone().try_acquire_owned().map_err(|_| {
             let message = format!("{} streams are open, as many as allowed", self.limits().streams);
@@ -242,10 +242,10 @@ impl Service {
         })
     }
 
-    /// The right to another open watch, which it keeps until it ends.
+    /// The right to open another watch. The watch keeps the permit until it ends.
     ///
     /// # Errors
-    /// As many are open as allowed.
+    /// The limit of open watches is reached.
     pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
         self.0.watches.clone().try_acquire_owned().map_err(|_| {
             let message = format!("{} watches are open, as many as allowed", self.limits().watches);

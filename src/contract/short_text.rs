@@ -1,4 +1,4 @@
-//! Texts of a few bytes that need no memory of their own.
+//! Texts that need no allocation while they are short.
 
 use std::fmt;
 use std::ops::Deref;
@@ -9,10 +9,10 @@ use prost::bytes::BufMut;
 use prost::encoding::{self, DecodeContext, WireType};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// Longest text that stands where it is (bytes).
+/// Longest text that is stored inline (bytes).
 const SHORT: usize = 7;
 
-/// A text. One of up to seven bytes stands where it is, a longer one on the heap.
+/// A text. Up to seven bytes are stored inline, a longer text on the heap.
 #[derive(Clone)]
 pub struct ShortText(Stored);
 
@@ -23,7 +23,7 @@ enum Stored {
 }
 
 impl ShortText {
-    /// The text of these bytes, if they are one and it is short.
+    /// The text with these bytes, if they are valid UTF-8 and short.
     fn short(text: &[u8]) -> Option<Self> {
         let mut bytes = [0; SHORT];
         bytes.get_mut(..text.len())?.copy_from_slice(text);
@@ -31,7 +31,7 @@ impl ShortText {
         Some(Self(Stored::Short { length: text.len() as u8, bytes }))
     }
 
-    /// Appends it as field number `tag`, unless it is empty.
+    /// Appends the text as field number `tag`, unless it is empty.
     pub(super) fn encode(&self, tag: u32, buffer: &mut impl BufMut) {
         if !self.is_empty() {
             encoding::encode_key(tag, WireType::LengthDelimited, buffer);
@@ -51,7 +51,7 @@ impl ShortText {
     /// Reads the content of a field.
     ///
     /// # Errors
-    /// Those of a `String`.
+    /// As for a `String`.
     pub(super) fn merge(
         &mut self,
         wire_type: WireType,

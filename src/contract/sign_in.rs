@@ -14,13 +14,13 @@ pub(crate) struct SignedIn {
     pub(crate) rights: Vec<String>,
     /// Token for changes.
     pub(crate) csrf_token: String,
-    /// When it ends, RFC 3339.
+    /// When the sign-in ends, in RFC 3339.
     pub(crate) expires_utc: String,
 }
 
 impl Service {
-    /// Signs in the browser that has sent this request with a key; returns the value of its cookie,
-    /// too. `None` where nobody needs a key.
+    /// Signs in the browser that has sent this request with a key. Also returns the value of its
+    /// cookie. `None` if no key is needed.
     ///
     /// # Errors
     /// The system has no random bits, or the store fails.

@@ -1,4 +1,4 @@
-//! Checks of the texts of a request: their lengths, and that they can be stored and printed.
+//! Checks of the texts in a request: their lengths, and that they can be stored and printed.
 
 use std::collections::BTreeMap;
 
@@ -28,7 +28,7 @@ pub(super) fn check(field: &str, text: &str, most: usize) -> Result<(), Refusal>
     }
 }
 
-/// Checks a label. Its length is the desk's to check.
+/// Checks a label. The desk checks its length.
 ///
 /// # Errors
 /// [`Code::InvalidField`].

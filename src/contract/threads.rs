@@ -10,8 +10,8 @@ use super::{Lease, Refusal};
 /// Messages up to this size are decoded on the thread that received them (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 
-/// Runs `work` on a blocking thread. It has the lease of the request until it is done, also if the
-/// caller has gone.
+/// Runs `work` on a blocking thread. The work keeps the lease of the request until it is done, even
+/// if the caller has disconnected.
 ///
 /// # Errors
 /// It panicked.
@@ -27,8 +27,8 @@ pub(crate) async fn in_background<T: Send + 'static>(
     done.map_err(|panic| Refusal::new(Code::Internal, panic.to_string()))
 }
 
-/// Runs `work`, which processes `bytes` bytes. If these are many, the runtime first moves the other
-/// tasks of this thread to another one.
+/// Runs `work`, which processes `bytes` bytes. If they are many, the runtime first moves the other
+/// tasks of this thread to another thread.
 pub(crate) fn off_the_network<T>(bytes: usize, work: impl FnOnce() -> T) -> T {
     let is_movable =
         || Handle::try_current().is_ok_and(|at| at.runtime_flavor() == RuntimeFlavor::MultiThread);

@@ -1,4 +1,4 @@
-//! Web pages of other hosts that may call the service, each for some tenants.
+//! Web pages on other hosts that may call the service, each for certain tenants.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use hyper::Uri;
 
 use crate::tenant::Tenant;
 
-/// Origins of web pages (RFC 6454), each with the tenants whose keys its pages may bring. Clones
+/// Origins of web pages (RFC 6454), each with the tenants whose keys its pages may send. Clones
 /// share them.
 #[derive(Clone, Debug, Default)]
 pub struct WebOrigins(Arc<BTreeMap<String, BTreeSet<Tenant>>>);
@@ -57,18 +57,18 @@ impl WebOrigins {
         self.0.is_empty()
     }
 
-    /// Whether pages of an origin may call for some tenant.
+    /// Whether pages of an origin may call for any tenant.
     pub(crate) fn has(&self, origin: &str) -> bool {
         self.0.contains_key(origin)
     }
 
-    /// Whether pages of an origin may bring keys of a tenant.
+    /// Whether pages of an origin may send keys of a tenant.
     pub(crate) fn serve(&self, origin: &str, tenant: &Tenant) -> bool {
         self.0.get(origin).is_some_and(|tenants| tenants.contains(tenant))
     }
 }
 
-/// Whether a text is what browsers send as the origin of a page.
+/// Whether a text has the form in which browsers send the origin of a page.
 fn is_origin(text: &str) -> bool {
     let Ok(uri) = text.parse::<Uri>() else { return false };
     let (Some(scheme), Some(authority)) = (uri.scheme_str(), uri.authority()) else { return false };
@@ -77,7 +77,7 @@ fn is_origin(text: &str) -> bool {
         "http" => 80,
         _ => return false,
     };
-    // Without user, path and upper case it is made of nothing else.
+    // An origin without user, path and upper case consists of nothing else.
     *text == format!("{scheme}://{authority}").to_ascii_lowercase()
         && !authority.as_str().contains('@')
         && authority.port_u16() != Some(standard)

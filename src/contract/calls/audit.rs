@@ -11,11 +11,11 @@ use super::{oldest_first, page_size, timestamp, unix_ms, utc};
 /// Entries on a page if the request gives no size.
 const PAGE: usize = 100;
 
-/// A page of entries: those of the caller's tenant, and for the operator those of all.
+/// A page of entries: those of the caller's tenant; for the operator, those of all tenants.
 ///
 /// # Errors
-/// The page token or size, or what is asked for is invalid, the tenant is another one and the
-/// caller not the operator, or the store fails.
+/// The page token, the page size or the filter is invalid, the filter names another tenant and the
+/// caller is not the operator, or the store fails.
 pub async fn list(
     caller: &Caller,
     mut request: v1::ListAuditRequest,

@@ -22,18 +22,18 @@ use super::{base_id, named_request, named_request_by, page_size, timestamp, utc}
 const PAGE: usize = 100;
 /// Most bases on a page.
 const PAGE_LIMIT: usize = 1000;
-/// Distances from the centre of the Earth at which a base can be (m), from the lowest ground at the
+/// Possible distances of a base from the centre of the Earth (m): from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
 /// Longest distance between antenna and marker along each axis (m).
 const DELTA_MAX_M: f64 = 1000.0;
 
-/// Creates a base. Returns it, and whether it is new: a repetition of a named request returns what
-/// the first one has created.
+/// Creates a base. Returns it, and whether it is new: a repetition of a named request returns the
+/// base that the first one has created.
 ///
 /// # Errors
-/// The position, stream or archive is invalid, there are as many bases as allowed, another request
-/// had this name, or the store fails.
+/// The position, stream or archive is invalid, the limit of bases is reached, a request with this
+/// name had other content, or the store fails.
 pub async fn create(
     caller: &Caller,
     request: v1::CreateBaseRequest,
@@ -130,11 +130,11 @@ async fn deleted(caller: &Caller, base: &str) -> Result<v1::DeleteBaseResponse, 
     Ok(v1::DeleteBaseResponse {})
 }
 
-/// Takes epochs of a base; returns when they are committed.
+/// Stores epochs of a base; returns when they are committed.
 ///
 /// # Errors
 /// An epoch is malformed, the position of the base is unknown or wrong, or the store fails. If
-/// every epoch is refused, this is the first one's refusal.
+/// every epoch is refused, the error is the refusal of the first one.
 pub async fn push_epochs(
     caller: &Caller,
     request: v1::PushBaseEpochsRequest,
@@ -154,7 +154,7 @@ pub async fn push_epochs(
     })
 }
 
-/// Takes a RINEX observation file of a base; returns when its epochs are committed.
+/// Reads a RINEX observation file of a base; returns when its epochs are committed.
 ///
 /// # Errors
 /// The file is not readable or exceeds a limit, the position of the base is unknown or wrong, or
@@ -275,7 +275,7 @@ const fn verdict_text(verdict: BasePositionVerdict) -> &'static str {
     }
 }
 
-/// A base as the caller sees it: of the operator's bases others do not see where they come from.
+/// A base as the caller sees it. Only the tenant that owns a base sees its stream and archive.
 fn message(caller: &Caller, info: &BaseInfo) -> v1::Base {
     let is_own = info.tenant == *caller.tenant();
     let age_s = info.stored_unix_ms.map(|stored| (unix_ms() - stored) as f64 / 1e3);

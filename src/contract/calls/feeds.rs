@@ -12,7 +12,7 @@ use super::{timestamp, typed, utc};
 
 /// Longest user name and longest password at a caster (characters).
 const CREDENTIAL_LIMIT: usize = 200;
-/// Heights at which a rover can be (m).
+/// Possible heights of a rover (m).
 const HEIGHTS_M: std::ops::RangeInclusive<f64> = -1e3..=1e5;
 
 /// Reads and checks the stream of a request.

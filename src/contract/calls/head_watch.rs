@@ -1,6 +1,6 @@
 //! Watches of a fleet: the heads of all sessions, then those that change.
 //!
-//! Each watch has a task, which reads the heads from the store again and again and sends those that
+//! Each watch has a task. It reads the heads from the store at an interval, and sends those that
 //! differ from what it has sent. The store has the sessions of all nodes.
 
 use std::collections::HashMap;
@@ -21,25 +21,25 @@ use super::outlet::{Outlet, outlet};
 use super::sessions::{HEAD_BYTES, filter, head_message};
 use super::utc;
 
-/// Heads in one message at most.
+/// Most heads in one message.
 const HEADS: usize = 500;
 /// Memory of a watch: the page that it reads and the messages that wait (bytes).
 const WATCH_BYTES: usize = 6 * HEADS * HEAD_BYTES;
-/// Memory of what a watch remembers of a session (bytes).
+/// Memory for what a watch remembers of each session (bytes).
 const SENT_BYTES: usize = 128;
 /// Shortest pause between two readings.
 const PAUSE: Duration = Duration::from_secs(1);
 /// The pause is at least this many times as long as the reading before it, so that a watch of a
 /// large fleet takes at most a thirtieth of a processor.
 const PAUSE_OF_READING: u32 = 30;
-/// Time without news after which a message without any is sent, so that no proxy takes the watch
-/// for dead.
+/// Time without changes after which an empty message is sent, so that no proxy closes the watch as
+/// idle.
 const KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// Watches the heads of the sessions that match. All come first.
+/// Watches the heads of the sessions that match. The first messages have all of them.
 ///
 /// # Errors
-/// What is asked for is invalid, the service is stopping, or as many watches are open as allowed.
+/// The filter is invalid, the service is stopping, or the limit of open watches is reached.
 pub async fn watch(
     caller: &Caller,
     request: v1::WatchHeadsRequest,
@@ -73,9 +73,9 @@ struct Watching {
     filter: SessionFilter,
     /// Memory of the request; it grows with the fleet.
     lease: Option<Lease>,
-    /// What was sent, by session.
+    /// The last sent head of each session.
     sent: HashMap<String, Sent>,
-    /// For how many sessions memory is reserved: the most that there were.
+    /// Number of sessions for which memory is reserved: the most that there were.
     reserved: usize,
     /// Number of the present reading.
     reading: u64,
@@ -88,14 +88,14 @@ struct Watching {
 
 /// What a watch remembers of a session.
 struct Sent {
-    /// Hash of what can change of its head.
+    /// Hash of the parts of its head that can change.
     hash: u64,
-    /// The last reading that had it.
+    /// The last reading in which the session was found.
     reading: u64,
 }
 
 impl Watching {
-    /// Sends heads until the reader has gone.
+    /// Sends heads until the reader disconnects.
     async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
         let mut drained = Box::pin(self.caller.drained());
         loop {
@@ -118,8 +118,8 @@ impl Watching {
             let sessions = self.caller.sessions();
             let page = sessions.heads(&self.filter, None, HEADS, token.as_deref()).await;
             let (Page { items, next_page_token }, now_ms) = match page {
-                // The session with which the page before ended was deleted: the next reading has
-                // the rest.
+                // The last session of the previous page was deleted. The next reading finds the
+                // rest.
                 Err(SessionError::Store(StoreError::PageToken { .. })) => return Ok(()),
                 page => page?,
             };
@@ -143,7 +143,7 @@ impl Watching {
         Ok(())
     }
 
-    /// Notes that a head was read. Returns whether it differs from what was sent.
+    /// Notes that a head was read. Returns whether it differs from the last sent one.
     fn note(&mut self, head: &SessionHead) -> Result<bool, Refusal> {
         let mut hasher = DefaultHasher::new();
         // Status and position change with the last epoch.
@@ -162,14 +162,14 @@ impl Watching {
         Ok(true)
     }
 
-    /// The sessions that this reading has not found.
+    /// The sessions that were not found in this reading.
     fn take_gone(&mut self) -> Vec<String> {
         let reading = self.reading;
         let gone = self.sent.extract_if(|_, sent| sent.reading < reading);
         gone.map(|(id, _)| id).collect()
     }
 
-    /// Sends the last message of a reading, if it says anything, or nothing was sent for long.
+    /// Sends the last message of a reading, unless it is empty and a message was sent recently.
     async fn send_last(&mut self, mut message: v1::WatchHeadsResponse) -> Result<(), Refusal> {
         let has_news = !message.heads.is_empty() || !message.gone.is_empty() || !self.is_complete;
         (message.complete, self.is_complete) = (true, true);

@@ -47,7 +47,7 @@ pub async fn fleet(
 /// A page of sessions with sums of their hours.
 ///
 /// # Errors
-/// The page token or size, or what is asked for is invalid, or the store fails.
+/// The page token, the page size or the filter is invalid, or the store fails.
 pub async fn sessions(
     caller: &Caller,
     mut request: v1::ListSessionHistoriesRequest,
@@ -95,7 +95,7 @@ pub async fn session(
     })
 }
 
-/// What a request asks for, once memory is reserved for its answer.
+/// Reads a query, after memory is reserved for its answer.
 fn query(
     from: Option<v1::GpsTime>,
     to: Option<v1::GpsTime>,
@@ -108,7 +108,7 @@ fn query(
     Ok(HistoryQuery { from, to, points })
 }
 
-/// The statuses that were given, the best first.
+/// The statuses that occur, the best first.
 fn statuses(counts: &StatusCounts) -> Vec<v1::SeriesStatus> {
     let mut statuses: Vec<_> = counts
         .iter()

@@ -1,4 +1,4 @@
-//! The attempts to tell the webhook of a batch job of its end.
+//! The attempts to inform the webhook of a batch job of its end.
 
 use crate::contract::{Caller, Refusal, v1};
 use crate::store::{DeliveryAttempt, WebhookState};
@@ -6,7 +6,7 @@ use crate::store::{DeliveryAttempt, WebhookState};
 use super::jobs::{delivery_state, job_id};
 use super::{timestamp, utc};
 
-/// The attempts to tell the webhook of a job of its end.
+/// The attempts to inform the webhook of a job of its end.
 ///
 /// # Errors
 /// The job does not exist.

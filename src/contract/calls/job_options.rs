@@ -1,4 +1,4 @@
-//! The options of a batch job, as messages and as the desk has them.
+//! The options of a batch job: conversion between messages and the desk's form.
 
 use crate::config::Mode;
 use crate::contract::{Caller, Refusal, convert, texts, v1};
@@ -15,7 +15,7 @@ use super::{NEAREST, PROFILE, base_choice, or_standard};
 /// The format if the request has none.
 const FORMAT: &str = "pos";
 
-/// The options of a message, with the values that were left out.
+/// The options in a message, with defaults for those that are missing.
 ///
 /// # Errors
 /// Options contradict each other, or the caller may not read the session.
@@ -43,7 +43,7 @@ pub(super) fn read(
         (Some(v1::Ecef { x_m, y_m, z_m }), false) => BaseOrigin::Marker([x_m, y_m, z_m]),
         (Some(_), true) => return contradiction("basePosition", "basePositionFromHeader"),
     };
-    // A session has its own.
+    // A session has its own mode and profile.
     let standard = |name: &'static str| if session.is_some() { "" } else { name };
     Ok(JobOptions {
         mode: or_standard(message.mode, standard(Mode::of_recording(is_relative).name())),
@@ -73,7 +73,7 @@ fn contradiction<T>(field: &str, other: &str) -> Result<T, Refusal> {
     Err(Refusal::new(Code::InvalidField, text).at(format!("options.{other}")))
 }
 
-/// The session in place of the rover's file, if one is named.
+/// The session that replaces the rover's file, if one is named.
 fn session(
     caller: &Caller,
     message: &v1::JobOptions,
@@ -100,10 +100,10 @@ fn session(
     }))
 }
 
-/// The bases of the service whose stored epochs are used in place of the part base.
+/// The bases of the service whose stored epochs are used instead of the part `base`.
 ///
 /// # Errors
-/// There is no such base, or the part is given, too.
+/// There is no such base, or the request also has the part.
 fn bases(
     caller: &Caller,
     message: &v1::JobOptions,
@@ -121,7 +121,7 @@ fn bases(
     bases.try_map(|id| Ok(id.to_string()))
 }
 
-/// The options of a job as a message. What was left out is that of its session.
+/// The options of a job as a message. Missing ones are those of its session.
 pub(super) fn message(request: &JobRequest) -> v1::JobOptions {
     let JobRequest { options, session, .. } = request;
     let base_position = match options.base_position {

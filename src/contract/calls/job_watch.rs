@@ -1,7 +1,7 @@
-//! Watches of batch jobs: a job now and at each change, until it has ended.
+//! Watches of batch jobs: a job is sent at once and after each change, until it has ended.
 //!
-//! The desk wakes a watch when any job changes here. What another process changes is read from the
-//! store at an interval.
+//! The desk wakes a watch when this process changes any job. Changes by other processes are read
+//! from the store at an interval.
 
 use std::time::Duration;
 
@@ -17,17 +17,17 @@ use super::outlet::{Outlet, outlet};
 
 /// Memory of a watch: its waiting messages (bytes).
 const WATCH_BYTES: usize = 32 << 10;
-/// Interval at which the store is asked for changes of which no one told.
+/// Interval at which the store is read for changes by other processes.
 const ASK: Duration = Duration::from_secs(1);
-/// Shortest interval between two looks into the store.
+/// Shortest interval between two reads of the store.
 pub(super) const PAUSE: Duration = Duration::from_millis(200);
-/// Time after which an unchanged job is sent again, so that no proxy takes the watch for dead.
+/// Time after which an unchanged job is sent again, so that no proxy closes the watch as idle.
 const KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// Watches a job. The first message comes at once, the last one when the job has ended.
+/// Watches a job. The first message is sent at once, the last one when the job has ended.
 ///
 /// # Errors
-/// The job does not exist, the service is stopping, or as many watches are open as allowed.
+/// The job does not exist, the service is stopping, or the limit of open watches is reached.
 pub async fn watch(
     caller: &Caller,
     request: v1::GetJobRequest,
@@ -43,7 +43,7 @@ pub async fn watch(
     Ok(reader.read(run(caller.clone(), id, outlet, permit)))
 }
 
-/// Sends the job until it has ended or the reader has gone.
+/// Sends the job until it has ended or the reader disconnects.
 async fn run(
     caller: Caller,
     id: JobId,
@@ -73,7 +73,7 @@ async fn run(
     }
 }
 
-/// Waits until a job may have changed, and at least for the pause between two looks.
+/// Waits until a job may have changed, but at least for the pause between two reads.
 pub(super) async fn changed(changes: &mut watch::Receiver<u64>, pause_ends: Instant) {
     tokio::select! {
         // Err: the desk no longer exists, and the service drains.

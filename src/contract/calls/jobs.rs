@@ -29,7 +29,7 @@ const DELETE: &str = "Jobs.Delete";
 /// Longest idempotency key.
 const KEY_MAX: usize = 200;
 
-/// Files and options of a job, as they arrive.
+/// Files and options of a job while they arrive.
 pub struct Arriving {
     upload: Upload,
     files: Vec<UploadedFile>,
@@ -46,17 +46,17 @@ pub struct ArrivingPart {
 /// Begins the upload of a job.
 ///
 /// # Errors
-/// The service takes no jobs, or as many as allowed are on their way.
+/// The service takes no jobs, or the limit of uploads or jobs is reached.
 pub async fn begin(caller: &Caller) -> Result<Arriving, Refusal> {
     let upload = caller.jobs().upload().await?;
     Ok(Arriving { upload, files: Vec::new(), options: None })
 }
 
 impl Arriving {
-    /// Begins the file of a part. `name` is its name at the user.
+    /// Begins the file of a part. `name` is the name of the file on the user's side.
     ///
     /// # Errors
-    /// There is no such part, the upload has as many files as allowed, or the disk fails.
+    /// There is no such part, the upload has its most files, or the disk fails.
     pub async fn begin(&mut self, part: &str, name: &str) -> Result<ArrivingPart, Refusal> {
         let part = Part::from_name(part).ok_or_else(|| {
             let given = texts::brief(part);
@@ -81,7 +81,7 @@ impl Arriving {
         Ok(())
     }
 
-    /// Takes the options.
+    /// Adds the options.
     ///
     /// # Errors
     /// They are given twice.
@@ -126,7 +126,7 @@ impl Arriving {
     }
 }
 
-/// The URLs in place of files.
+/// The URLs that are given instead of files.
 ///
 /// # Errors
 /// There is no such part.
@@ -145,8 +145,8 @@ impl Arriving {
     /// Adds the files of complete uploads.
     ///
     /// # Errors
-    /// There is no such part or upload, bytes of it are missing, or there are more files than
-    /// allowed.
+    /// There is no such part or upload, bytes of the upload are missing, or there are more files
+    /// than allowed.
     async fn add_uploads(
         &mut self,
         caller: &Caller,
@@ -173,7 +173,7 @@ impl Arriving {
 /// Creates a job from a stream of messages.
 ///
 /// # Errors
-/// The stream breaks off or is silent for too long, bytes belong to no file, or as of
+/// The stream ends early or is silent for too long, or bytes belong to no file; or as for
 /// [`Arriving::submit`].
 pub async fn create<E: From<Refusal>>(
     caller: &Caller,
@@ -208,7 +208,7 @@ pub async fn create<E: From<Refusal>>(
             }
             None => {}
         }
-        // The message is on the disk, or kept in few bytes.
+        // The message is already on the disk, or takes few bytes.
         Lease::current().map_or(Ok(()), |lease| lease.settle(OPTIONS_BYTES))?;
     }
     if let Some(file) = open {
@@ -266,7 +266,7 @@ pub(super) async fn page(
     Ok((page.items, pages.token(page.next_page_token)))
 }
 
-/// The state that a list asks for; none if the name is empty.
+/// The state by which a list is filtered; none if the name is empty.
 fn state(name: &str) -> Result<Option<JobState>, Refusal> {
     let known = || {
         JobState::from_name(name).ok_or_else(|| {
@@ -320,7 +320,7 @@ pub async fn report_page(caller: &Caller, request: v1::GetJobRequest) -> Result<
 
 /// The result of a job.
 pub struct ResultFile {
-    /// Name for the file of a user.
+    /// Proposed name of the file for a user.
     pub name: String,
     /// Its media type.
     pub content_type: &'static str,
@@ -407,7 +407,7 @@ pub(super) fn message(caller: &Caller, job: &JobInfo) -> v1::Job {
     }
 }
 
-/// What has become of the message to a webhook, with its type.
+/// State of the message to a webhook, as an enumeration value.
 pub(super) fn delivery_state(state: Option<WebhookState>) -> i32 {
     let name = state.map_or("UNSPECIFIED", WebhookState::name);
     typed(&format!("DELIVERY_STATE_{name}"), v1::DeliveryState::from_str_name)

@@ -1,4 +1,4 @@
-//! API keys of the caller's tenant, and for the operator of all tenants.
+//! API keys of the caller's tenant; for the operator, those of all tenants.
 
 use std::mem;
 
@@ -19,7 +19,7 @@ const LIFETIME_MAX_S: u64 = 3_153_600_000;
 ///
 /// # Errors
 /// A right is unknown, the label or the lifetime is too long, the tenant is another one and the
-/// caller not the operator, there are as many keys as allowed, or the store fails.
+/// caller is not the operator, the limit of keys is reached, or the store fails.
 pub async fn create(
     caller: &Caller,
     request: v1::CreateKeyRequest,
@@ -47,8 +47,8 @@ async fn created(
 /// A page of keys, the newest first.
 ///
 /// # Errors
-/// The page token or size is invalid, the tenant is another one and the caller not the operator, or
-/// the store fails.
+/// The page token or size is invalid, the tenant is another one and the caller is not the operator,
+/// or the store fails.
 pub async fn list(
     caller: &Caller,
     mut request: v1::ListKeysRequest,
@@ -64,7 +64,7 @@ pub async fn list(
     })
 }
 
-/// A key, also one that is revoked or has expired. The operator finds those of every tenant.
+/// A key, even if it is revoked or has expired. The operator finds keys of every tenant.
 ///
 /// # Errors
 /// The tenant has no such key, or the store fails.
@@ -90,15 +90,16 @@ async fn revoked(caller: &Caller, request: &v1::RevokeKeyRequest) -> Result<v1::
     Ok(message(key))
 }
 
-/// The tenant whose keys the caller finds by their ids; `None` for all tenants, as the operator.
+/// The tenant in which the caller finds keys by their ids; `None` for the operator: all tenants.
 fn visible_tenant(caller: &Caller) -> Option<&Tenant> {
     Some(caller.tenant()).filter(|tenant| !tenant.is_operator())
 }
 
-/// The tenant of a name; the caller's if it is empty.
+/// The tenant with this name; the caller's tenant if the name is empty.
 ///
 /// # Errors
-/// It is no name of a tenant, or that of another one, and the caller is not the operator.
+/// The text is not the name of a tenant; or it names another tenant, and the caller is not the
+/// operator.
 pub(super) fn tenant(caller: &Caller, name: &str) -> Result<Tenant, Refusal> {
     if name.is_empty() || name == caller.tenant().name() {
         return Ok(caller.tenant().clone());

@@ -100,7 +100,7 @@ fn or_standard(text: String, standard: &str) -> String {
 /// The area of a request.
 ///
 /// # Errors
-/// A side is out of range, or it has its north south of its south.
+/// A side is out of range, or the north side is south of the south side.
 fn bounds(area: Option<v1::Area>) -> Result<Option<Bounds>, Refusal> {
     let Some(v1::Area { south_deg, west_deg, north_deg, east_deg }) = area else { return Ok(None) };
     let sides = [
@@ -146,13 +146,13 @@ fn is_full(view: i32) -> Result<bool, Refusal> {
     }
 }
 
-/// A time (ms since 1970-01-01 UTC) with its type.
+/// A time (ms since 1970-01-01 UTC) as a message.
 fn timestamp(unix_ms: i64) -> Option<Timestamp> {
     let nanos = i32::try_from(unix_ms.rem_euclid(1000) * 1_000_000).unwrap_or_default();
     Some(Timestamp { seconds: unix_ms.div_euclid(1000), nanos })
 }
 
-/// The number of an enumeration's value; unspecified if it has none of this name.
+/// The number of an enumeration value with this name; zero (unspecified) if there is none.
 fn typed<E: Into<i32>>(name: &str, of_name: impl Fn(&str) -> Option<E>) -> i32 {
     of_name(name).map_or(0, Into::into)
 }
@@ -164,7 +164,7 @@ fn named_request<M: Message>(name: String, content: &M) -> Result<Option<NamedRe
     named_request_by(name, content, hash)
 }
 
-/// The same with another hash, for a content with a secret.
+/// Like [`named_request`], with another hash, for content that contains a secret.
 fn named_request_by<M: Message>(
     name: String,
     content: &M,
@@ -175,16 +175,16 @@ fn named_request_by<M: Message>(
     Ok(is_named.then(|| NamedRequest { name, hash: hash(&content.encode_to_vec()) }))
 }
 
-/// The page size of a request, or the call's standard size if it is zero.
+/// The page size of a request; the default of the call if it is zero.
 const fn page_size(asked: u32, standard: usize) -> usize {
     if asked == 0 { standard } else { asked as usize }
 }
 
-/// The system time of a text of RFC 3339 in UTC, such as `2026-11-24T01:30:00Z` (ms since
+/// Parses a system time of RFC 3339 in UTC, such as `2026-11-24T01:30:00Z` (ms since
 /// 1970-01-01 UTC).
 ///
 /// # Errors
-/// It is another text.
+/// The text is not such a time.
 fn unix_ms(field: &str, text: &str) -> Result<i64, Refusal> {
     parsed_utc(text).ok_or_else(|| {
         let message = format!("{:?} is not a time such as 2026-11-24T01:30:00Z", brief(text));
@@ -207,7 +207,7 @@ fn parsed_utc(text: &str) -> Option<i64> {
     Some((since.as_ns() - epoch.as_ns()) / 1_000_000 + ms)
 }
 
-/// Three numbers of as many digits each.
+/// Three numbers with these numbers of digits.
 fn numbers(text: &str, separator: char, digits: [usize; 3]) -> Option<[u32; 3]> {
     let mut parts = text.split(separator);
     let mut numbers = [0; 3];

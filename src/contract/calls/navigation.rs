@@ -8,10 +8,10 @@ use crate::refusal::Code;
 use super::feeds;
 use super::upload::{read_file, read_text};
 
-/// Memory of one ephemeris of each satellite of all constellations (bytes).
+/// Memory for one ephemeris of each satellite of all constellations (bytes).
 const MEMORY_OF_NUMBER: usize = 200 * 320;
 
-/// Takes a RINEX navigation file.
+/// Reads a RINEX navigation file and stores its ephemerides.
 ///
 /// # Errors
 /// The file is not readable or exceeds a limit, or the store fails.

@@ -15,7 +15,7 @@ use super::session_id;
 const FILE_BYTES: usize = 4 << 20;
 
 /// The stored epochs of a session as RINEX 3.05, in order of their numbers. They are read twice:
-/// before the answer begins for the signals in the header, and while it is sent.
+/// once before the answer begins, for the signals in the header, and once while it is sent.
 ///
 /// # Errors
 /// The session does not exist, a time is invalid, or the store fails.
@@ -63,7 +63,7 @@ async fn header(mut epochs: ObservedEpochs) -> Result<ObservationHeader, Refusal
 struct ObservationFile {
     epochs: ObservedEpochs,
     writer: ObservationWriter<Vec<u8>>,
-    /// Who reads it. The end of their key ends the file, too.
+    /// The sender of the request. When the sender's key ends, the file ends, too.
     pass: Option<Pass>,
 }
 

@@ -1,6 +1,6 @@
-//! Batch jobs as operations that take long, by the interface of `google.longrunning`.
+//! Batch jobs as long-running operations, with the interface of `google.longrunning`.
 //!
-//! An operation is a job under the same id. Only gRPC has these calls; REST has `/v1/jobs`.
+//! An operation is a job with the same id. Only gRPC has these calls; REST has `/v1/jobs`.
 
 use std::pin::pin;
 use std::time::Duration;
@@ -20,10 +20,10 @@ const WAIT_MAX: Duration = Duration::from_secs(60);
 const WAIT_BYTES: usize = 16 << 10;
 /// Name of the call that deletes a job.
 const DELETE: &str = "Operations.DeleteOperation";
-/// What a filter compares.
+/// The field that a filter compares.
 const STATE: &str = "metadata.state";
 
-/// A job, and what came of it.
+/// A job and its outcome.
 pub struct Operation {
     /// The job.
     pub job: v1::Job,
@@ -69,10 +69,10 @@ pub async fn list(
     Ok((jobs.iter().map(|job| Operation::of(caller, job)).collect(), next_page_token))
 }
 
-/// The state that a filter asks for; empty for an empty one.
+/// The state by which a filter selects; empty for an empty filter.
 ///
 /// # Errors
-/// It is another condition than `metadata.state = "RUNNING"`, quoted or not.
+/// The filter is not of the form `metadata.state = "RUNNING"`, quoted or not.
 fn filtered_state(filter: &str) -> Result<String, Refusal> {
     if filter.trim().is_empty() {
         return Ok(String::new());
@@ -107,10 +107,10 @@ pub async fn delete(caller: &Caller, name: &str) -> Result<(), Refusal> {
     caller.noted(DELETE, name, deleted.await).await
 }
 
-/// The job when it has ended, or as it is after `timeout`, or before if the service stops.
+/// Waits until the job has ended, `timeout` has passed, or the service stops. Returns the job.
 ///
 /// # Errors
-/// The job does not exist, or as many watches are open as allowed.
+/// The job does not exist, or the limit of open watches is reached.
 pub async fn wait(
     caller: &Caller,
     name: &str,

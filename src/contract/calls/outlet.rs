@@ -1,9 +1,9 @@
-//! How a watch reaches its reader: the task of the watch sends messages, the reader's side of the
-//! connection takes them.
+//! The channel between a watch and its reader: the task of the watch sends messages, and the
+//! reader's side of the connection takes them.
 //!
-//! A few messages wait for the reader. If it takes none of them for some time, the task ends and
-//! frees what it has; the reader finds the messages, and then how to go on. When the reader's key
-//! ends, none of the messages that wait is sent.
+//! A few messages wait for the reader. If the reader takes none of them for some time, the task
+//! ends and frees its memory. The reader then gets the waiting messages, and after them a refusal
+//! that tells how to continue. When the reader's key ends, waiting messages are not sent.
 
 use std::pin::Pin;
 use std::time::Duration;
@@ -17,13 +17,13 @@ use crate::contract::{Caller, Lease, Refusal};
 use crate::keys::KeyError;
 use crate::refusal::Code;
 
-/// Messages that wait for a reader.
+/// Most messages that wait for a reader.
 const WAITING: usize = 4;
 
-/// Where the task of a watch sends its messages.
+/// The sending side, for the task of a watch.
 pub(super) struct Outlet<T> {
     sender: mpsc::Sender<T>,
-    /// Time that the reader has for a message.
+    /// Time within which the reader must take a message.
     patience: Duration,
 }
 
@@ -43,7 +43,7 @@ impl<T> Outlet<T> {
     /// The reader has taken none for too long.
     pub(super) async fn send(&self, message: T) -> Result<(), Refusal> {
         match timeout(self.patience, self.sender.send(message)).await {
-            // Err: the reader has gone, which ends the watch at its next wait.
+            // Err: the reader has disconnected, which ends the watch at its next wait.
             Ok(sent) => {
                 sent.ok();
                 Ok(())
@@ -55,29 +55,29 @@ impl<T> Outlet<T> {
         }
     }
 
-    /// Waits until the reader has gone.
+    /// Waits until the reader disconnects.
     pub(super) async fn closed(&self) {
         self.sender.closed().await;
     }
 
-    /// Whether the reader has gone.
+    /// Whether the reader has disconnected.
     pub(super) fn is_closed(&self) -> bool {
         self.sender.is_closed()
     }
 }
 
-/// The reader's side.
+/// The receiving side, for the reader.
 pub(super) struct Reader<T> {
     messages: mpsc::Receiver<T>,
-    /// Why the watch ended.
+    /// The refusal with which the watch has ended.
     ended: Option<oneshot::Receiver<Refusal>>,
-    /// The end of the reader's key.
+    /// Completes when the reader's key ends.
     key_ended: Option<Pin<Box<dyn Future<Output = KeyError> + Send>>>,
 }
 
 impl<T: Send + 'static> Reader<T> {
-    /// Runs `watching` in a task of its own, until it is done. Its messages, and behind them why it
-    /// has ended, are the stream.
+    /// Runs `watching` in a task until it ends. The stream has its messages, and after them the
+    /// refusal with which it has ended.
     pub(super) fn read(
         mut self,
         watching: impl Future<Output = Result<(), Refusal>> + Send + 'static,
@@ -116,7 +116,7 @@ impl<T: Send + 'static> Reader<T> {
                 return Some(Err(error.into()));
             }
         }
-        // Err: the watch has nothing more to say.
+        // Err: the watch has ended without a refusal.
         let refusal = self.ended.take()?.await.ok()?;
         Some(Err(refusal))
     }

@@ -1,4 +1,4 @@
-//! Tokens of pages: where a list goes on, in a form that clients send back and do not read.
+//! Page tokens: the position at which a list continues. Clients send them back unread.
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
@@ -7,18 +7,18 @@ use prost::Message;
 use crate::contract::{Refusal, texts};
 use crate::refusal::Code;
 
-/// Bytes of a token that name its list.
+/// Bytes of a token that identify its list.
 const TAG_BYTES: usize = 4;
 
-/// The pages of one list with one filter. Tokens of others are refused.
+/// The pages of one list with one filter. Tokens of other lists or filters are refused.
 pub(super) struct Pages {
     tag: [u8; TAG_BYTES],
     after: Option<String>,
 }
 
 impl Pages {
-    /// The pages of a call, from a token on, or from the first one if it is empty. `request` is the
-    /// request without its page size and token.
+    /// The pages of a call, beginning at a token, or at the first page if the token is empty.
+    /// `request` is the request without its page size and token.
     ///
     /// # Errors
     /// The token comes from another call or another request.
@@ -42,7 +42,7 @@ impl Pages {
         }
     }
 
-    /// What the page comes after, as the desk names it.
+    /// The item after which the page begins, as the desk names it.
     pub(super) fn after(&self) -> Option<&str> {
         self.after.as_deref()
     }

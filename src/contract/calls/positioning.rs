@@ -1,4 +1,4 @@
-//! Positioning: epochs in, solutions out.
+//! Positioning: epochs are pushed, solutions are returned.
 
 use crate::config::IntakeLimits;
 use crate::contract::convert::{self, Stored};
@@ -13,8 +13,8 @@ use super::{MODE, PROFILE, base_choice, or_standard, session_id};
 /// Positions the epochs of a push; returns when they are committed.
 ///
 /// # Errors
-/// An epoch is malformed, or the session refuses the push. If the session refuses every epoch, this
-/// is the first one's refusal.
+/// An epoch is malformed, or the session refuses the push. If the session refuses every epoch, the
+/// error is the refusal of the first one.
 pub async fn push_epochs(
     caller: &Caller,
     request: v1::PushEpochsRequest,
@@ -23,7 +23,7 @@ pub async fn push_epochs(
     let read = session_id(&request.session)
         .and_then(|id| Ok((id, epochs(request.epochs, &caller.limits().intake(), Numbered::Yes)?)));
     let sessions = caller.sessions().clone();
-    // The session counts those that it refuses itself.
+    // The session counts the refusals that it makes itself.
     let (id, epochs) = read.inspect_err(|_| sessions.counts().count_refused(count))?;
     let submitted = finished(async move { sessions.submit(&id, epochs).await }).await?;
     answer(caller, submitted)

@@ -1,4 +1,4 @@
-//! Raw bytes of a receiver in, solutions out.
+//! Raw bytes of a receiver are pushed, solutions are returned.
 
 use crate::contract::{Caller, Refusal, finished, intake, v1};
 use crate::formats::receiver::{RefusalEntry, Statistics};
@@ -9,7 +9,7 @@ use crate::session::{RawChunk, RawReceived, SEQUENCES};
 use super::positioning::results;
 use super::session_id;
 
-/// Takes a chunk of a receiver's stream; returns when its bytes and the epochs that they complete
+/// Stores a chunk of a receiver's stream; returns when its bytes and the epochs that they complete
 /// are committed.
 ///
 /// # Errors
@@ -33,7 +33,7 @@ pub async fn push(
     Ok(answer(caller, received))
 }
 
-/// Checks that every JSON reader keeps the offsets of a chunk exactly.
+/// Checks that the offsets of a chunk are integers which every JSON reader represents exactly.
 pub(super) fn offset(offset: u64, length: usize) -> Result<u64, Refusal> {
     if offset <= SEQUENCES.end() - length as u64 {
         return Ok(offset);

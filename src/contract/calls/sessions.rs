@@ -23,14 +23,15 @@ const HEADS: usize = 1000;
 const HEADS_MAX: usize = 10_000;
 /// Memory of a head, its message and its JSON (bytes).
 pub(super) const HEAD_BYTES: usize = 1024;
-/// Memory of a head that is looked through for those within an area (bytes).
+/// Memory of a head that is searched for an area (bytes).
 const SCANNED_BYTES: usize = 256;
 
-/// Opens a session. Returns it, and whether it is new: a repetition of a named request returns what
-/// the first one has opened.
+/// Opens a session. Returns it, and whether it is new: a repetition of a named request returns the
+/// session that the first one has opened.
 ///
 /// # Errors
-/// The configuration does not exist, another request had this name, or the store fails.
+/// The configuration does not exist, a request with this name had other content, or the store
+/// fails.
 pub async fn create(
     caller: &Caller,
     mut request: v1::CreateSessionRequest,
@@ -65,7 +66,7 @@ pub async fn get(caller: &Caller, request: v1::GetSessionRequest) -> Result<v1::
 /// A page of sessions.
 ///
 /// # Errors
-/// The page token or size, or what is asked for is invalid.
+/// The page token, the page size or the filter is invalid.
 pub async fn list(
     caller: &Caller,
     mut request: v1::ListSessionsRequest,
@@ -99,7 +100,7 @@ pub(super) fn filter(
 /// A page of heads.
 ///
 /// # Errors
-/// The page token or size, or what is asked for is invalid.
+/// The page token, the page size or the filter is invalid.
 pub async fn heads(
     caller: &Caller,
     mut request: v1::ListHeadsRequest,
@@ -196,7 +197,7 @@ pub async fn close(
     caller.noted("Sessions.Close", &request.session, act.await).await
 }
 
-/// Deletes a session with all that it has stored.
+/// Deletes a session with everything that it has stored.
 ///
 /// # Errors
 /// The session does not exist.

@@ -16,7 +16,7 @@ use super::{is_full, page_size, session_id, typed};
 
 /// Solutions on a page if the request gives no size.
 const PAGE: usize = 1000;
-/// Solutions that are read at a time.
+/// Solutions that are read in one batch.
 const PORTION: usize = 256;
 /// Memory of a solution, its message and its JSON (bytes).
 pub(super) const SOLUTION_BYTES: usize = 10 << 10;
@@ -59,16 +59,16 @@ pub async fn list(
     Ok(page)
 }
 
-/// Leaves out what a solution of the view BASIC does not have.
+/// Removes the fields that the view BASIC omits.
 fn shorten(solution: &mut v1::Solution) {
     let whole = mem::take(solution);
     let (velocity, clock, dops, provenance, satellites_used) = Default::default();
     *solution = v1::Solution { velocity, clock, dops, provenance, satellites_used, ..whole };
 }
 
-/// Reads a page in portions, each after memory is reserved for it. The page ends early if no more
-/// memory is free, or if the store has looked through many epochs that do not match. Returns also
-/// where the next page begins.
+/// Reads a page in batches, each after memory is reserved for it. The page ends early if no more
+/// memory is free, or if the store has searched many epochs that do not match. Also returns the
+/// beginning of the next page.
 async fn read(
     caller: &Caller,
     id: &SessionId,
@@ -111,7 +111,7 @@ pub async fn series(
 ) -> Result<v1::SolutionSeriesResponse, Refusal> {
     let id = session_id(&request.session)?;
     let token = mem::take(&mut request.page_token);
-    // The span may be given with the second page, so that an epoch that arrives does not move it.
+    // The span may be set with the second page, so that a new epoch does not move it.
     let (from, to) = (request.from.take(), request.to.take());
     let pages = Pages::of("Solutions/Series", &request, &token)?;
     let revisions = convert::revisions(request.revisions)?;

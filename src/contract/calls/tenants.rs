@@ -1,4 +1,4 @@
-//! Tenants: their quotas, and what they use.
+//! Tenants: their quotas and their use.
 
 use std::mem;
 
@@ -18,7 +18,8 @@ const PAGE_LIMIT: usize = 1000;
 /// A tenant.
 ///
 /// # Errors
-/// It does not exist, or is another one and the caller not the operator, or the store fails.
+/// It does not exist; or it is another tenant, and the caller is not the operator; or the store
+/// fails.
 pub async fn get(caller: &Caller, request: v1::GetTenantRequest) -> Result<v1::Tenant, Refusal> {
     let name = request.tenant;
     let sees = |tenant: &Tenant| tenant == caller.tenant() || caller.tenant().is_operator();
@@ -78,7 +79,7 @@ async fn done(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::Tena
     Ok(message(info))
 }
 
-/// The number of the last change that an etag names; `None` for any.
+/// The number of the last change in an etag; `None` for an empty etag, which accepts any.
 fn changed(etag: &str) -> Result<Option<i64>, Refusal> {
     if etag.is_empty() {
         return Ok(None);
@@ -112,7 +113,7 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
     Ok(Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes })
 }
 
-/// Largest quota: a number that JSON has exactly.
+/// Largest quota, which JSON represents exactly.
 const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {

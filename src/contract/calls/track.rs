@@ -29,7 +29,7 @@ pub fn formats() -> impl Iterator<Item = &'static str> {
     TrackFormat::ALL.into_iter().map(TrackFormat::name)
 }
 
-/// The ending and the media type of files of a format's name.
+/// File ending and media type of a format.
 ///
 /// # Errors
 /// There is no such format.
@@ -37,7 +37,7 @@ pub fn kind(format: &str) -> Result<(&'static str, &'static str), Refusal> {
     known(format).map(|format| (format.ending(), format.content_type()))
 }
 
-/// What is stored of a session as a file: its solutions in order of seq and revision, or as RINEX
+/// The stored data of a session as a file: its solutions in order of seq and revision, or as RINEX
 /// the epochs that they answer. It is read from the store in batches, as fast as the stream is
 /// read.
 ///
@@ -116,7 +116,7 @@ fn known(format: &str) -> Result<ResultFormat, Refusal> {
     }
 }
 
-/// Lines at the head of a `.pos` file.
+/// Comment lines at the head of a `.pos` file.
 fn comments(id: &SessionId, revisions: Revisions, output: &OutputOptions) -> Vec<String> {
     let revisions = match revisions {
         Revisions::First => "first",
@@ -137,17 +137,17 @@ struct Track {
     id: SessionId,
     query: SolutionQuery,
     writer: TrackWriter,
-    /// How solutions are given out: as at the beginning, also if the session changes meanwhile.
+    /// Output options as at the beginning, even if the session changes meanwhile.
     output: OutputOptions,
     step: Step,
-    /// Who reads it. The end of their key ends the track, too.
+    /// The sender of the request. When the sender's key ends, the track ends, too.
     pass: Option<Pass>,
 }
 
 enum Step {
-    /// Nothing is written; the first page.
+    /// Nothing is written yet. The first page is read.
     Begin(Page<StoredSolution>),
-    /// The page of this token is next.
+    /// The page with this token is next.
     Read(String),
     End,
 }

@@ -1,8 +1,8 @@
 //! Uploaded files: unpacked and read within limits, on few blocking threads.
 //!
-//! A file whose gzip stream is cut off is taken up to its last whole line, as one that ends there,
-//! and the answer says so. One whose gzip stream is damaged is refused: what is before the damage
-//! may have errors that nothing shows, and uploads serve every session of the tenant.
+//! If the gzip stream of a file is cut off, the file is read up to its last whole line, as if it
+//! ended there, and the answer reports it. If the gzip stream is damaged, the file is refused: the
+//! data before the damage may have hidden errors, and uploads serve every session of the tenant.
 
 use std::io::BufRead;
 
@@ -11,7 +11,7 @@ use crate::formats::rinex::{Skipped, SkippedEntry};
 use crate::formats::{GzipDamage, WholeLines, unpack_within};
 use crate::refusal::Code;
 
-/// What a file gives, and where it is cut off.
+/// The content of a file, and the point at which it is cut off.
 pub(super) struct Upload<T> {
     pub(super) content: T,
     cut: Option<GzipDamage>,
@@ -19,8 +19,8 @@ pub(super) struct Upload<T> {
     bytes: u64,
 }
 
-/// Reads a file with `work` on a blocking thread, when one of the few for files is free. `bytes`
-/// is the most memory that the file's content can use.
+/// Reads a file with `work` on a blocking thread, once one of the few threads for files is free.
+/// `bytes` is the most memory that the file's content can use.
 pub(super) async fn read_file<T: Send + 'static>(
     caller: &Caller,
     bytes: usize,
@@ -30,17 +30,17 @@ pub(super) async fn read_file<T: Send + 'static>(
     let lease = Lease::current();
     lease.as_ref().map_or(Ok(()), |lease| lease.reserve(bytes))?;
     let work = move || {
-        // Kept until the file is read, also if the caller no longer waits.
+        // Kept until the file is read, even if the caller no longer waits.
         let _kept = (reader, lease);
         work()
     };
     in_background(work).await?
 }
 
-/// Reads an uploaded text of RINEX, plain or gzip, with `work`. `limit` is the most unpacked bytes.
+/// Reads an uploaded RINEX text, plain or gzip, with `work`. `limit` is the most unpacked bytes.
 ///
 /// # Errors
-/// Those of `work`. What is missing after a cut may be the cause: then they name the cut.
+/// Those of `work`. If the file is cut off, the cut may be the cause, and the error names it.
 pub(super) fn read_text<T, E: Into<Refusal>>(
     content: &[u8],
     limit: u64,
@@ -61,7 +61,7 @@ impl<T> Upload<T> {
     pub(super) fn blamed(&self, refusal: Refusal) -> Refusal {
         let Some(cut) = &self.cut else { return refusal };
         let code = match refusal.code {
-            // The header would be another one with what is missing.
+            // The missing part of the file could have changed the header.
             Code::RinexNotRinex | Code::RinexHeaderInvalid => Code::RinexTruncated,
             code => code,
         };
@@ -74,7 +74,7 @@ impl<T> Upload<T> {
         self.cut.is_some()
     }
 
-    /// What the answer lists as skipped: records, and what is missing after a cut.
+    /// The skipped parts for the answer: records, and the part after a cut.
     pub(super) fn skipped(&self, records: &Skipped) -> Vec<v1::Skipped> {
         let cut = self.cut.iter().map(|cut| v1::Skipped {
             what: format!("{cut}: what follows is missing"),

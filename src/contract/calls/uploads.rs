@@ -19,10 +19,10 @@ pub struct Answer {
     pub expires: SystemTime,
 }
 
-/// Begins an upload of a file of this size. `name` is its name at the user.
+/// Begins an upload of a file of this size. `name` is the name of the file on the user's side.
 ///
 /// # Errors
-/// The service takes no jobs, the file is too large, or the tenant has as many uploads as allowed.
+/// The service takes no jobs, the file is too large, or the tenant has its most uploads.
 pub async fn create(caller: &Caller, name: &str, length: u64) -> Result<Answer, Refusal> {
     Ok(Answer::of(&caller.jobs().begin_upload(name, length).await?))
 }
@@ -30,16 +30,16 @@ pub async fn create(caller: &Caller, name: &str, length: u64) -> Result<Answer, 
 /// An upload.
 ///
 /// # Errors
-/// The tenant has none with this id.
+/// The tenant has no upload with this id.
 pub async fn get(caller: &Caller, upload: &str) -> Result<Answer, Refusal> {
     Ok(Answer::of(&caller.jobs().upload_info(&upload_id(upload)?).await?))
 }
 
-/// Appends bytes to an upload from this offset on. What has arrived before a break is stored.
+/// Appends bytes to an upload from this offset on. If the body ends early, its bytes so far stay.
 ///
 /// # Errors
 /// The offset is not that of the upload, another request appends to it, the bytes exceed the size
-/// of the file or the space of all, the tenant has no such upload, or the body breaks off.
+/// of the file or the space of all files, the tenant has no such upload, or the body ends early.
 pub async fn append(
     caller: &Caller,
     upload: &str,
@@ -61,7 +61,7 @@ pub async fn append(
 /// Removes an upload. Jobs that name its file keep it.
 ///
 /// # Errors
-/// The tenant has none with this id.
+/// The tenant has no upload with this id.
 pub async fn remove(caller: &Caller, upload: &str) -> Result<(), Refusal> {
     Ok(caller.jobs().remove_upload(&upload_id(upload)?).await?)
 }

@@ -1,7 +1,7 @@
-//! Watches: what a session commits, as it is committed.
+//! Watches of the solutions that a session commits, when it commits them.
 //!
-//! Each watch has a task, which reads the ring of newly committed solutions, or the store if it is
-//! behind.
+//! Each watch has a task. It reads the ring of newly committed solutions, or the store if it is
+//! behind the ring.
 
 use std::time::Duration;
 
@@ -18,18 +18,18 @@ use crate::store::{Revisions, StoredSolution};
 use super::outlet::{Outlet, outlet};
 use super::session_id;
 
-/// Solutions in one message at most.
+/// Most solutions in one message.
 const SOLUTIONS: usize = 32;
 /// Memory of a watch: its waiting messages and a page from the store (bytes).
 const WATCH_BYTES: usize = 96 << 10;
-/// Time without solutions after which a message without any is sent, so that no proxy takes the
-/// watch for dead.
+/// Time without solutions after which an empty message is sent, so that no proxy closes the watch
+/// as idle.
 const KEEPALIVE: Duration = Duration::from_secs(15);
 
-/// Watches the solutions of a session. The first message has none and comes at once.
+/// Watches the solutions of a session. The first message is empty and is sent at once.
 ///
 /// # Errors
-/// The session does not exist, the cursor is invalid, or as many watches are open as allowed.
+/// The session does not exist, the cursor is invalid, or the limit of open watches is reached.
 pub async fn watch(
     caller: &Caller,
     request: v1::WatchSolutionsRequest,
@@ -63,7 +63,7 @@ pub async fn watch(
     Ok(reader.read(watching.run(permit)))
 }
 
-/// Where a watch begins; `None` for the present.
+/// The cursor from which a watch begins; `None` for the present.
 fn start(request: &v1::WatchSolutionsRequest) -> Result<Option<WatchCursor>, Refusal> {
     let (cursor, after_seq) = (&*request.cursor, request.after_seq);
     match (cursor, after_seq) {
@@ -101,14 +101,14 @@ struct Watching {
     cursor: WatchCursor,
     with_revisions: bool,
     oldest_available: Option<u64>,
-    /// How solutions are given out, as it was read from the store last. It is read before the first
-    /// solution, and again after each change of the session.
+    /// Output options, as last read from the store. They are read before the first solution, and
+    /// again after each change of the session.
     output: OutputOptions,
     outlet: Outlet<v1::WatchSolutionsResponse>,
 }
 
 impl Watching {
-    /// Sends solutions until the session is closed or the reader has gone.
+    /// Sends solutions until the session is closed or the reader disconnects.
     async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
         let mut drained = Box::pin(self.caller.drained());
         self.send(Vec::new(), false).await?;
@@ -131,8 +131,8 @@ impl Watching {
         self.send(Vec::new(), true).await
     }
 
-    /// Sends what the store has behind the cursor. Returns whether the session is closed after it;
-    /// `true`, too, once the reader has gone.
+    /// Sends the stored solutions after the cursor. Returns whether the session is closed after
+    /// them; also `true` if the reader has disconnected.
     async fn catch_up(&mut self) -> Result<bool, Refusal> {
         while !self.outlet.is_closed() {
             if self.caller.is_draining() {
@@ -150,7 +150,7 @@ impl Watching {
         Ok(true)
     }
 
-    /// Sends solutions that are behind the cursor.
+    /// Sends the solutions that are after the cursor.
     async fn send_new<'a>(
         &mut self,
         solutions: impl Iterator<Item = &'a StoredSolution>,

@@ -22,7 +22,7 @@ pub(super) struct OfEpochs {
     durable_through: Option<u64>,
 }
 
-/// Reads what a stream is to send back.
+/// Reads which answers a stream is to send.
 pub(super) fn answers(number: i32) -> Result<v1::Answers, Refusal> {
     v1::Answers::try_from(number).map_err(|_| {
         let message = format!("{number} is not a choice of answers; known are 1, 2 and 3");
@@ -30,7 +30,7 @@ pub(super) fn answers(number: i32) -> Result<v1::Answers, Refusal> {
     })
 }
 
-/// Refuses an acknowledgement that the session has not given.
+/// Refuses an acknowledged number that the session has not acknowledged.
 pub(super) fn check_acknowledged(
     claimed: Option<u64>,
     given: Option<u64>,
@@ -44,7 +44,7 @@ pub(super) fn check_acknowledged(
     Err(Refusal::new(Code::AcknowledgementUnknown, message).at(field))
 }
 
-/// The refusal of a first message without opening, or of an opening later.
+/// The refusal of a first message without an opening, or of a later message with one.
 pub(super) fn misplaced(message: &str) -> Refusal {
     Refusal::new(Code::InvalidField, message).at("opening")
 }

@@ -1,4 +1,4 @@
-//! The course of a stream, the same for epochs and raw bytes: opening, missed answers, messages and
+//! The phases of a stream, the same for epochs and raw bytes: opening, missed answers, messages and
 //! answers, end.
 
 use std::pin::Pin;
@@ -17,8 +17,8 @@ use crate::store::StoredSolution;
 
 use super::ledger::{Amount, Ledger};
 
-/// Time without an answer after which the service sends one without content, so that no proxy takes
-/// the stream for dead.
+/// Time without an answer after which the service sends an empty one, so that no proxy closes the
+/// stream as idle.
 const KEEPALIVE: Duration = Duration::from_secs(25);
 /// Time between the announcement of the end and the end.
 const GRACE: Duration = Duration::from_secs(2);
@@ -27,7 +27,7 @@ const PAGE: usize = 32;
 /// Memory of a stored answer, as a message and encoded (bytes).
 const ANSWER_BYTES: usize = 8 << 10;
 
-/// What a stream carries: epochs or raw bytes.
+/// The content of a stream: epochs or raw bytes.
 pub(super) trait Carried: Sized + Send + Sync + 'static {
     type Request: prost::Message + Send;
     type Response: Default + Send;
@@ -46,7 +46,7 @@ pub(super) trait Carried: Sized + Send + Sync + 'static {
     ) -> Result<Option<Push>, Refusal>;
     /// Number of epochs or chunks in a message.
     fn count(request: &Self::Request) -> u64;
-    /// Number of epochs in a message; zero for a chunk, whose epochs are not known.
+    /// Number of epochs in a message; zero for a chunk, whose epochs are not known yet.
     fn known_epochs(request: &Self::Request) -> usize;
     /// Adds an answer to a response.
     fn answer(&mut self, caller: &Caller, answer: Self::Answer, response: &mut Self::Response);
@@ -57,17 +57,17 @@ pub(super) trait Carried: Sized + Send + Sync + 'static {
         presenter: &Presenter<'_>,
         response: &mut Self::Response,
     );
-    /// Completes a response with what is durable, and with the credit.
+    /// Completes a response with the durable numbers and the credit.
     fn complete(&self, response: &mut Self::Response, credit: Amount);
     /// Adds the announcement of the end.
     fn end(response: &mut Self::Response, ending: v1::StreamEnding);
 }
 
-/// What the first message says.
+/// The content of the first message.
 pub(super) struct Opening<C> {
     pub(super) session: SessionId,
     pub(super) carried: C,
-    /// The answers to stored epochs after this number are to be sent.
+    /// The device asks for the answers to stored epochs after this number.
     pub(super) after: Option<u64>,
 }
 
@@ -77,7 +77,7 @@ pub(super) struct Push {
     pub(super) memory: usize,
 }
 
-/// Where a stream stands.
+/// The phase of a stream.
 enum Phase {
     Opening,
     /// Sends stored answers after one number, through another.
@@ -89,13 +89,13 @@ enum Phase {
     Ended,
 }
 
-/// A push that the session's mailbox does not take yet.
+/// A push that waits because the session's mailbox is full.
 struct Held {
     push: StreamedPush,
     until: Instant,
 }
 
-/// What happens next on a stream.
+/// The next event of a stream.
 enum Event<C: Carried, E> {
     Message(Result<C::Request, E>),
     HalfClosed,
@@ -110,20 +110,20 @@ pub(super) struct Flow<C: Carried, I, E> {
     caller: Caller,
     messages: I,
     phase: Phase,
-    /// Set by the opening.
+    /// The session and the content, set by the opening.
     opened: Option<(SessionId, C)>,
     answers: Answers<C::Answer>,
     ledger: Ledger,
     /// Whether further messages are read.
     is_reading: bool,
     held: Option<Held>,
-    /// Why the stream ends, once everything is answered; `None` if the device closes its side.
+    /// Why the stream ends once everything is answered; `None` if the device closes its side.
     fault: Option<E>,
     drained: Option<Pin<Box<dyn Future<Output = ()> + Send>>>,
-    /// Who sends the stream, and the end of their key.
+    /// The sender of the stream. `key_ended` completes when the sender's key ends.
     pass: Option<Pass>,
     key_ended: Option<Pin<Box<dyn Future<Output = KeyError> + Send>>>,
-    /// When an announced end comes.
+    /// When the stream ends, once the end is announced.
     end: Option<Instant>,
     /// When the last message arrived, and when the last answer was sent.
     heard: Instant,
@@ -181,7 +181,7 @@ where
             },
             Phase::Ended => return None,
         };
-        // Also where the stream was not waiting for anything that could happen.
+        // Checked here, too, because the stream may not have waited for its events.
         let ended = self.pass.as_ref().and_then(|pass| pass.check().err());
         match ended.map_or(next, |error| Some(Err(Refusal::from(error).into()))) {
             Some(Ok(response)) => {
@@ -270,8 +270,8 @@ where
         }
     }
 
-    /// Waits for what happens next. The end of the key comes first, as other things may never cease
-    /// to happen; then messages, so that all that have arrived are positioned and answered
+    /// Waits for the next event. The end of the key has priority, because other events may come
+    /// without pause. Then come messages, so that all that have arrived are positioned and answered
     /// together.
     async fn event(&mut self) -> Event<C, E> {
         let deadline = self.deadline();
@@ -307,12 +307,12 @@ where
         self.timer.as_mut().poll(context).map(|()| Event::Time)
     }
 
-    /// Whether the next message is read now.
+    /// Whether the next message may be read now.
     fn reads_on(&self) -> bool {
         self.is_reading && self.held.is_none() && self.ledger.has_room()
     }
 
-    /// When the timer is needed next.
+    /// The time at which the timer must run next.
     fn deadline(&self) -> Instant {
         let idle = Duration::from_secs(self.caller.limits().stream_idle_s);
         let others = [
@@ -323,7 +323,7 @@ where
         others.into_iter().flatten().fold(self.answered + KEEPALIVE, Instant::min)
     }
 
-    /// Takes a message; returns a response if it is to be answered at once.
+    /// Handles a message; returns a response if it is answered at once.
     async fn receive(&mut self, request: C::Request) -> Option<C::Response> {
         self.heard = Instant::now();
         let epochs = C::known_epochs(&request);
@@ -362,8 +362,8 @@ where
         }
     }
 
-    /// Posts a push to the session. If its mailbox is full, the push waits and nothing more is
-    /// read.
+    /// Posts a push to the session. If the session's mailbox is full, the push waits, and no
+    /// further message is read.
     async fn post(&mut self, mut push: StreamedPush) {
         let (id, _) = self.opened.as_ref().expect("an open stream has its session");
         let Err(error) = self.caller.sessions().post_streamed(id, &mut push).await else { return };
@@ -393,7 +393,7 @@ where
         push.cancel();
     }
 
-    /// Answers what has become durable.
+    /// Makes the response for answers that are durable.
     fn answer(&mut self, answers: Vec<Result<C::Answer, SessionError>>) -> Option<C::Response> {
         let mut response = C::Response::default();
         let mut is_empty = true;
@@ -406,7 +406,7 @@ where
                     is_empty = false;
                 }
                 Err(error) => {
-                    // What follows it is not answered.
+                    // The pushes after it are not answered.
                     self.stop(Refusal::from(error).into());
                     self.ledger.clear();
                 }
@@ -424,7 +424,7 @@ where
         response
     }
 
-    /// Announces the end, which comes after a grace.
+    /// Announces the end, which follows after `GRACE`.
     fn announce_end(&mut self) -> C::Response {
         self.end = Some(Instant::now() + GRACE);
         let refusal = Refusal::from(SessionError::Draining);
@@ -436,7 +436,7 @@ where
         self.completed(response)
     }
 
-    /// Does what is due: ends the stream, tries a push again, or shows that the service is there.
+    /// Does the work of the timer: ends the stream, posts a push again, or sends an empty answer.
     async fn on_time(&mut self) -> Option<C::Response> {
         let now = Instant::now();
         let limits = self.caller.limits();

@@ -1,4 +1,4 @@
-//! What is on its way on a stream: counted against its credit and the memory of all requests.
+//! The unanswered pushes of a stream, counted against its credit and the memory of all requests.
 
 use std::collections::VecDeque;
 
@@ -38,7 +38,7 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    /// A stream on which `window` may be on its way.
+    /// The account of a stream on which at most `window` may be unanswered.
     pub(super) fn new(window: Amount, lease: Option<Lease>) -> Self {
         let (received, answered) = Default::default();
         let (memory, page) = (0, 0);
@@ -95,20 +95,20 @@ impl Ledger {
         self.settle()
     }
 
-    /// Forgets the newest push, which was not posted.
+    /// Removes the newest push, which was not posted.
     pub(super) fn forget_newest(&mut self) {
         if let Some(OnItsWay { memory, .. }) = self.on_its_way.pop_back() {
             self.memory -= memory;
         }
     }
 
-    /// Forgets what will not be answered.
+    /// Removes all pushes that will not be answered.
     pub(super) fn clear(&mut self) {
         self.on_its_way.clear();
         self.memory = 0;
     }
 
-    /// Keeps the memory of a page of stored answers, instead of that of the page before.
+    /// Keeps the memory of a page of stored answers, and frees that of the previous page.
     ///
     /// # Errors
     /// The memory of all requests is exhausted.
@@ -122,13 +122,13 @@ impl Ledger {
         self.on_its_way.is_empty()
     }
 
-    /// Whether another message may be read. While memory is short, a stream waits for its answers
-    /// instead of exhausting the memory, which would end it.
+    /// Whether another message may be read. While memory is short, a stream waits for its answers.
+    /// Otherwise it could exhaust the memory, which would end the stream.
     pub(super) fn has_room(&self) -> bool {
         self.on_its_way.is_empty() || !self.lease.as_ref().is_some_and(Lease::is_short)
     }
 
-    /// What may have been received in all.
+    /// The total that the stream may have received.
     pub(super) fn credit(&self) -> Amount {
         let mut credit = self.answered;
         credit.add(self.window);

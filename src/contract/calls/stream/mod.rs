@@ -1,7 +1,8 @@
-//! Streams of a device: messages come in, and answers go out when what they acknowledge is durable.
+//! Streams of a device: messages are received, and answers are sent when the acknowledged epochs
+//! are durable.
 //!
-//! A stream is not a task of its own. It is polled by whoever sends its answers, so a device that
-//! reads no answers is not read from either.
+//! A stream has no task of its own. The sender of its answers polls it. So the service does not
+//! read from a device that reads no answers.
 
 mod epochs;
 mod flow;

@@ -13,7 +13,7 @@ use super::flow::{Carried, Opening, Push};
 use super::ledger::Amount;
 use super::results::{result_of, results};
 
-/// Memory of a chunk and its answer beside its bytes (bytes).
+/// Memory of a chunk and its answer besides the chunk's bytes (bytes).
 const CHUNK_BYTES: usize = 2 << 10;
 /// Memory of the decoded content for each byte of a chunk (bytes).
 const DECODED: usize = 4;

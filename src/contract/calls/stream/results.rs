@@ -1,11 +1,11 @@
-//! Outcomes of epochs as a stream sends them back.
+//! Outcomes of epochs in the form that a stream sends.
 
 use crate::contract::{Presenter, Refusal, convert, v1};
 use crate::gnss::{Solution, SolutionEstimate};
 use crate::session::EpochOutcome;
 use crate::store::StoredSolution;
 
-/// The results of epochs for these answers: of all of them, or of the refused ones.
+/// The results of epochs that a stream has asked for: all of them, or only the refused ones.
 pub(super) fn results(
     outcomes: Vec<EpochOutcome>,
     answers: v1::Answers,
@@ -41,7 +41,7 @@ pub(super) fn result_of(
 }
 
 fn summary(solution: &Solution, presenter: &Presenter<'_>) -> v1::StreamSummary {
-    // It cannot say in which frame the position is.
+    // A stream's result cannot state the frame of its position.
     let presented = presenter.present(solution).without_foreign_position();
     let position = presented.solution.estimate.as_ref().map(|estimate| estimate.position);
     let estimate = solution.estimate.as_ref();
