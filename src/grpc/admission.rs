@@ -38,11 +38,11 @@ const WINDOW_LOG_MAX: u32 = 23;
 const WATCHES: [&str; 3] =
     ["/graphfix.v1.Solutions/Watch", "/graphfix.v1.Jobs/Watch", "/graphfix.v1.Sessions/WatchHeads"];
 
-/// Largest messages (bytes).
+/// Largest sizes of messages (bytes).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MessageLimits {
     pub(super) of_call: usize,
-    /// Of each message of a stream.
+    /// Largest size of each message of a stream.
     pub(super) of_stream: usize,
 }
 
@@ -104,14 +104,14 @@ fn timeout_of(headers: &HeaderMap) -> Option<Duration> {
     }
 }
 
-/// How a message is packed.
+/// The compression of a message.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Encoding {
     Gzip,
     Zstd,
 }
 
-/// The request with a stream of messages that are not packed, neither are the answers.
+/// The request for a call with a stream of messages. Its messages and answers are not packed.
 fn streamed_request(mut request: Request, limit: usize) -> Result<Request, Refusal> {
     let headers = request.headers_mut();
     headers.remove(ACCEPTED_ENCODINGS);
@@ -169,8 +169,8 @@ async fn collected(mut body: Body, limit: usize) -> Result<Bytes, Refusal> {
     Ok(packed.freeze())
 }
 
-/// The same message, unpacked. Bytes that are not one packed message are returned unchanged, for
-/// tonic to refuse or to read.
+/// The same message, unpacked. Bytes that are not exactly one packed message are returned
+/// unchanged, and tonic then reads or refuses them.
 fn unpacked(
     packed: Bytes,
     encoding: Encoding,

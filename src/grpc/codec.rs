@@ -1,4 +1,4 @@
-//! Protobuf as tonic does it, except that an undecodable message is the client's fault.
+//! Protobuf as in tonic, except that an undecodable message is the client's fault.
 
 use std::any::TypeId;
 use std::marker::PhantomData;
@@ -14,8 +14,8 @@ use crate::refusal::Code;
 use super::status::to_status;
 use super::stream_body::PREFIX_BYTES;
 
-/// Buffer of a stream of a device for messages to read, and to write (bytes). Longer messages need
-/// more for as long as they are there.
+/// Buffers of a device's stream for messages to read, and to write (bytes). A longer message
+/// enlarges them while it is processed.
 const STREAM_BUFFER_BYTES: [usize; 2] = [2 << 10, 512];
 /// Bytes after which encoded messages of a stream are sent.
 const STREAM_YIELD_BYTES: usize = 32 << 10;
@@ -52,8 +52,8 @@ where
     }
 }
 
-/// Buffers for messages of this type: small ones for those of a device's stream, as there are
-/// thousands.
+/// Buffers for messages of this type. They are small for streams of devices, because there are
+/// thousands of them.
 fn settings_for<M: 'static>(bytes: usize) -> BufferSettings {
     let of_streams = [
         TypeId::of::<v1::StreamRequest>(),
@@ -70,7 +70,7 @@ fn settings_for<M: 'static>(bytes: usize) -> BufferSettings {
 /// Decodes the messages of a call.
 #[derive(Clone, Debug)]
 pub struct MessageDecoder<U> {
-    /// The lease of the request, outside a service none.
+    /// The lease of the request; `None` outside a service.
     lease: Option<Lease>,
     message: PhantomData<U>,
 }

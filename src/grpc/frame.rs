@@ -1,4 +1,4 @@
-//! Errors around the calls: refusals that tonic makes itself, and panics.
+//! Errors outside the calls: refusals that tonic makes itself, and panics.
 
 use std::any::Any;
 

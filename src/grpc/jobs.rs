@@ -17,7 +17,7 @@ impl Jobs for Door {
         request: Request<Streaming<v1::CreateJobRequest>>,
     ) -> Result<Response<v1::Job>, Status> {
         let key = idempotency_key(request.metadata())?.map(Content::IdempotencyKey);
-        // As if the stream began with it; one in the stream is that of the request.
+        // Treated as the first message of the stream. A key in the stream belongs to the request.
         let named = key.map(|key| Ok(v1::CreateJobRequest { content: Some(key) }));
         let messages = futures::stream::iter(named).chain(request.into_inner());
         Ok(Response::new(calls::jobs::create(&self.0.caller()?, messages).await?))

@@ -1,11 +1,11 @@
-//! What the metadata of a call may say beside its message.
+//! The metadata of a call that have the same meaning as a field of its message.
 
 use tonic::metadata::MetadataMap;
 
 use crate::contract::{Refusal, header_or_field};
 use crate::refusal::Code;
 
-/// Names a request, so that its repetition creates nothing, as this header does on REST.
+/// Names a request, so that its repetition creates nothing, like the same header on REST.
 const IDEMPOTENCY_KEY: &str = "idempotency-key";
 
 /// The name of a request; `None` without one.
@@ -20,10 +20,10 @@ pub(super) fn idempotency_key(metadata: &MetadataMap) -> Result<Option<String>, 
     })
 }
 
-/// The name of a request whose message may have one, too.
+/// The name of a request. The message may have a name, too.
 ///
 /// # Errors
-/// They differ, or that of the metadata is not a text.
+/// They differ, or the name in the metadata is not a text.
 pub(super) fn request_id(metadata: &MetadataMap, in_message: String) -> Result<String, Refusal> {
     header_or_field((IDEMPOTENCY_KEY, idempotency_key(metadata)?), ("requestId", in_message))
 }

@@ -1,4 +1,4 @@
-//! `google.longrunning.Operations`: batch jobs by an interface that clients know.
+//! `google.longrunning.Operations`: batch jobs with a standard interface.
 
 use std::time::Duration;
 
@@ -102,7 +102,7 @@ fn error(job: &v1::Job) -> tonic_types::Status {
     let Some(failure) = &job.failure else {
         return plain(GrpcCode::Cancelled, "the job was cancelled");
     };
-    // A code of an earlier version may exist no more.
+    // A code of an earlier version may no longer exist.
     let Some(code) = Code::ALL.iter().find(|code| code.name() == failure.code) else {
         return plain(GrpcCode::Unknown, &format!("{}: {}", failure.code, failure.message));
     };
@@ -110,7 +110,7 @@ fn error(job: &v1::Job) -> tonic_types::Status {
     if !failure.field.is_empty() {
         refusal = refusal.at(&*failure.field);
     }
-    // Nothing of the call has failed: it waits for no retry, and the log does not have it.
+    // The call itself has not failed: there is nothing to retry, and nothing to log.
     refusal.retry_after = None;
     let status = tonic_types::Status::decode(status_of(&refusal).details()).unwrap_or_default();
     let code = match code.class() {

@@ -32,7 +32,7 @@ use super::{DESCRIPTORS, Door, admission, frame};
 /// Interval at which the service's readiness is checked.
 const HEALTH_INTERVAL: Duration = Duration::from_secs(1);
 
-/// All services, health and reflection, without a fallback: the shared router has one.
+/// All services, health and reflection, without a fallback, which the shared router has.
 ///
 /// # Panics
 /// Outside a tokio runtime, because a task reports the service's readiness as gRPC health.
@@ -76,14 +76,14 @@ pub(crate) fn routes(service: &Service) -> Router {
         .layer(middleware::from_fn_with_state(limits, serve))
 }
 
-/// Serves a request; refusals of tonic itself and panics become refusals with a code. One layer,
-/// because each costs an allocation or two a request.
+/// Serves a request. Refusals of tonic and panics become refusals with a code. This is one layer,
+/// because each layer costs an allocation or two for each request.
 async fn serve(State(limits): State<MessageLimits>, request: Request, next: Next) -> Response {
     let served = AssertUnwindSafe(admission::admit(limits, request, next)).catch_unwind().await;
     frame::explain(served.unwrap_or_else(frame::panicked))
 }
 
-/// Reports each second whether the services, and the whole, are serving, until the service drains.
+/// Reports each second whether the services and the server are serving, until the service drains.
 async fn report_health(service: Service, health: HealthReporter) {
     const NAMES: [&str; 11] = [
         "",

@@ -9,7 +9,7 @@ use tonic_types::{ErrorDetails, StatusExt};
 use crate::contract::{Refusal, log_failure};
 use crate::refusal::{Class, Code};
 
-/// Answers are compressed from this length on (bytes). Shorter ones are not worth the time.
+/// Length from which answers are compressed (bytes). For shorter ones it is not worth the time.
 const COMPRESSED_FROM_BYTES: usize = 1 << 10;
 /// Domain of the codes in `ErrorInfo`.
 const DOMAIN: &str = "graphfix";
@@ -17,7 +17,7 @@ const DOMAIN: &str = "graphfix";
 /// The gRPC status of a class.
 pub const fn grpc_code(class: Class) -> GrpcCode {
     match class {
-        // Clients repeat what is exhausted, and time does not make a request smaller.
+        // Clients retry `ResourceExhausted`, but a request that is too large stays too large.
         Class::Malformed | Class::MediaType | Class::TooLarge => GrpcCode::InvalidArgument,
         Class::Exhausted => GrpcCode::ResourceExhausted,
         Class::NotFound => GrpcCode::NotFound,
@@ -39,8 +39,8 @@ impl From<Refusal> for Status {
     }
 }
 
-/// A refusal as gRPC sends it. Failures of the service are logged here, once; that it stops, is
-/// none of them.
+/// A refusal in the form of gRPC. Failures of the service are logged here, once. A service that is
+/// stopping has not failed.
 pub(crate) fn to_status(refusal: &Refusal) -> Status {
     let is_failure = matches!(refusal.code.class(), Class::Internal | Class::Unavailable);
     if is_failure && refusal.code != Code::Draining {
@@ -49,7 +49,7 @@ pub(crate) fn to_status(refusal: &Refusal) -> Status {
     status_of(refusal)
 }
 
-/// The same without a line in the log.
+/// Like [`to_status`], without a line in the log.
 pub(super) fn status_of(refusal: &Refusal) -> Status {
     let mut metadata = HashMap::from([
         ("remedy".to_owned(), refusal.code.remedy().to_owned()),
@@ -72,7 +72,7 @@ pub(super) fn status_of(refusal: &Refusal) -> Status {
     Status::with_error_details(grpc_code(refusal.code.class()), &refusal.message, details)
 }
 
-/// The outcome of a call as tonic takes it. Short answers are not compressed.
+/// The outcome of a call in the form of tonic. Short answers are not compressed.
 pub(super) fn carry<T: Message>(outcome: Result<T, Refusal>) -> Result<Response<T>, Status> {
     let answer = |message: T| {
         let is_short = message.encoded_len() < COMPRESSED_FROM_BYTES;

@@ -1,5 +1,5 @@
-//! Bodies of streams, checked while they are read: the memory of what has arrived, the length of
-//! each message, and that none is packed.
+//! Bodies of streams, checked while they are read: the memory of the bytes that have arrived, the
+//! length of each message, and that no message is packed.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -13,15 +13,15 @@ use crate::refusal::Code;
 
 use super::status::to_status;
 
-/// A message begins with a flag and its length; gRPC over HTTP/2, Length-Prefixed-Message.
+/// Length of the flag and the message length before each message (gRPC over HTTP/2).
 pub(crate) const PREFIX_BYTES: usize = 5;
 
-/// How a message is refused that is too long.
+/// The refusal of a message that is too long.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum TooLong {
-    /// It exceeds any credit that a stream of a device can have.
+    /// It exceeds the largest possible credit of a device's stream.
     Credit,
-    /// Its call has no credit: it has a chunk of a file.
+    /// It exceeds the limit for a chunk of a file. Its call has no credit.
     Chunk,
 }
 
@@ -30,7 +30,7 @@ pub(super) struct StreamBody {
     body: Body,
     lease: Option<Lease>,
     prefixes: Prefixes,
-    /// Why the stream ends, once the messages before are read.
+    /// The refusal with which the stream ends, once the earlier messages are read.
     fault: Option<Refusal>,
 }
 
@@ -38,7 +38,7 @@ pub(super) struct StreamBody {
 struct Prefixes {
     /// Longest message (bytes).
     limit: usize,
-    /// Code and field of the refusal of a longer one.
+    /// Code and field for the refusal of a longer message.
     too_long: TooLong,
     prefix: [u8; PREFIX_BYTES],
     /// Bytes of the next prefix that have arrived.
@@ -54,7 +54,7 @@ impl StreamBody {
         Self { body, lease: Lease::current(), prefixes, fault: None }
     }
 
-    /// The bytes up to a message that is refused.
+    /// The bytes before the first message that is refused.
     fn take(&mut self, mut bytes: Bytes) -> Result<Bytes, Refusal> {
         if let Some(lease) = &self.lease {
             lease.arrive_undecoded(bytes.len())?;
@@ -67,8 +67,8 @@ impl StreamBody {
 }
 
 impl Prefixes {
-    /// Reads the prefixes in `bytes`. Returns how many of them precede the prefix that completes a
-    /// refused one.
+    /// Reads the prefixes in `bytes`. If a prefix is refused, returns the number of bytes before
+    /// it.
     fn take(&mut self, all: &[u8]) -> (usize, Result<(), Refusal>) {
         let mut bytes = all;
         while !bytes.is_empty() {
@@ -167,7 +167,7 @@ mod tests {
         chunks.try_for_each(|chunk| prefixes.take(chunk).1).map_err(|refusal| refusal.code)
     }
 
-    /// The messages are found however the bytes are split.
+    /// The messages are found wherever the bytes are split.
     #[test]
     fn a_message_too_long_or_packed_is_refused_by_its_prefix() {
         let good = [message(0, 50), message(0, 0), message(0, 3)].concat();

@@ -1,7 +1,6 @@
-//! Checks of every request of both doors: the host that it names, the call that it is for, the key
-//! that it brings, and the memory that it may use.
+//! Checks of every request of both doors: its host, its call, its key, and its memory.
 //!
-//! Memory comes last: a request that is refused uses none, and nothing of its body is read.
+//! Memory is checked last: a refused request uses none, and no part of its body is read.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -28,7 +27,7 @@ use super::metered::{Keeping, Metered, Patience};
 use super::problem::Refused;
 use super::{head, sign_in, traced, uploads};
 
-/// Header with the name of the node that answers, on both doors.
+/// Header with the name of the node that answers, for both doors.
 const NODE: HeaderName = HeaderName::from_static("x-graphfix-node");
 /// Header of an answer with the request's id. The log has the same id.
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -96,20 +95,20 @@ pub(super) async fn admit(
     if is_grpc { response } else { with_security_headers(response, is_named) }
 }
 
-/// Gives an answer the id of its request, which the log has, too.
+/// Adds to an answer the id of its request, which is also in the log.
 fn identify(response: &mut Response, lease: &Lease) {
     let id = lease.request_id();
     tracing::debug!(request = %id, status = %response.status(), "answered");
     let mut text = [0; Hyphenated::LENGTH];
     if let Ok(mut id) = HeaderValue::from_str(id.as_hyphenated().encode_lower(&mut text)) {
-        // Not entered into the connection's table of headers (RFC 7541, section 7.1.3): each
-        // occurs once.
+        // Marked as sensitive, so that it is not added to the connection's table of headers
+        // (RFC 7541, section 7.1.3): each id occurs once.
         id.set_sensitive(true);
         response.headers_mut().insert(REQUEST_ID, id);
     }
 }
 
-/// Whether a request came with TLS and names the service by a name of its own: browsers may then
+/// Whether a request came over TLS and names the service by a name of its own. Browsers may then
 /// remember that this name has TLS. Addresses and `localhost` are shared with other services.
 fn is_named(service: &Service, request: &Request) -> bool {
     let is_encrypted = request.extensions().get().is_some_and(|peer: &Peer| peer.is_encrypted);
@@ -120,7 +119,7 @@ fn is_named(service: &Service, request: &Request) -> bool {
         && address_of(name).is_none()
 }
 
-/// How a request went, as far as the head of its answer tells.
+/// The outcome of a request, as far as the head of its answer shows it.
 fn outcome(response: &Response) -> Outcome {
     // A gRPC call that fails at once has its status in the head (trailers only).
     let grpc = response.headers().get("grpc-status");
@@ -136,8 +135,7 @@ fn outcome(response: &Response) -> Outcome {
     }
 }
 
-/// Who sends a request, if everything about it but its body is right; `None` where nobody needs a
-/// key.
+/// The sender of a request, if everything but its body is valid; `None` if no key is needed.
 fn checked(
     service: &Service,
     target: &Target,
@@ -185,7 +183,8 @@ fn checked(
     Ok((call, pass))
 }
 
-/// Whether a call tells how the service is. It is answered until the service has stopped.
+/// Whether a call reports the health of the service. Such calls are answered until the service has
+/// stopped.
 fn tells_health(call: &Call) -> bool {
     matches!(call.rest, "GET /healthz" | "GET /readyz" | "GET /metrics")
         || call.grpc.starts_with("/grpc.health.")
@@ -202,8 +201,8 @@ fn leased(
     metered(service, request, lease, is_grpc)
 }
 
-/// The key of a request (RFC 6750, section 2.1), or else its cookie. An `authorization` of another
-/// form, or a second one, is a key that fits none.
+/// The key of a request (RFC 6750, section 2.1), otherwise its cookie. An `authorization` of
+/// another form, or a second one, counts as a key that does not exist.
 fn credential(request: &Request) -> Credential<'_> {
     let headers = request.headers();
     let mut values = headers.get_all(header::AUTHORIZATION).iter();
@@ -224,8 +223,8 @@ fn credential(request: &Request) -> Credential<'_> {
     Credential::Cookie(cookie, token)
 }
 
-/// A refusal as the addressed door sends it, with the methods that the path takes, or the encodings
-/// of bodies.
+/// A refusal as the addressed door sends it, with the methods that the path allows, or the allowed
+/// encodings of bodies.
 fn refused(refusal: Refusal, target: &Target, is_grpc: bool) -> Response {
     let is_packed = refusal.code == Code::UnsupportedMediaType;
     let mut response = answer(refusal, is_grpc);
@@ -256,8 +255,8 @@ fn answer(refusal: Refusal, is_grpc: bool) -> Response {
 
 /// Refuses a request for a host that is not this service, and a request from a page of another
 /// origin that the operator does not list. Otherwise a web page could resolve its own host name to
-/// this machine and so reach the service (DNS rebinding). Returns the origin if it is listed for
-/// some tenants only.
+/// this machine and so reach the service (DNS rebinding). Returns the origin if the operator lists
+/// it for certain tenants.
 fn foreign_origin<'a>(
     service: &Service,
     uri: &Uri,
@@ -286,7 +285,7 @@ fn host<'a>(uri: &'a Uri, headers: &'a HeaderMap) -> Option<&'a str> {
     uri.authority().map(|authority| authority.as_str()).or(text(headers, header::HOST))
 }
 
-/// The text of a header; one that is not ASCII fits nothing.
+/// The text of a header. A value that is not ASCII becomes `?`, which no check accepts.
 fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
     headers.get(name).map(|value| value.to_str().unwrap_or("?"))
 }
@@ -299,7 +298,7 @@ fn is_own(service: &Service, host: &str) -> bool {
         || service.is_listed_host(name)
 }
 
-/// The address that a host's name is; `None` if it is another name.
+/// The address that the name of a host contains; `None` if it is not an address.
 fn address_of(name: &str) -> Option<IpAddr> {
     name.trim_start_matches('[').trim_end_matches(']').parse().ok()
 }
@@ -316,7 +315,7 @@ fn brief(text: &str) -> &str {
     text.get(..80).unwrap_or(text)
 }
 
-/// Whether a request brings files of jobs.
+/// Whether a request sends files of jobs.
 fn is_of_files(method: &Method, path: &str) -> bool {
     match *method {
         Method::POST => path == jobs::PATH,
@@ -338,7 +337,7 @@ fn metered(
     let fault = if is_grpc { status_error } else { refusal_error };
     let patience = Patience { silence: Duration::from_secs(service.limits().body_silence_s) };
     if !is_grpc && is_of_files(request.method(), request.uri().path()) {
-        // Its files go to the disk as they arrive.
+        // Its files are written to the disk as they arrive.
         let (parts, body) = request.into_parts();
         let body = Metered::passing(body, lease.clone(), patience, fault)?;
         return Ok((Request::from_parts(parts, Body::new(body)), lease));
@@ -364,8 +363,8 @@ fn refusal_error(refusal: Refusal) -> BoxError {
     refusal.into()
 }
 
-/// Adds a `Content-Security-Policy` where there is no stricter one, and forbids browsers to guess
-/// the content type; where a name of the service was called with TLS, to call it without.
+/// Adds a `Content-Security-Policy` unless there is a stricter one, and forbids browsers to guess
+/// the content type. If a name of the service was called over TLS, also forbids calls without TLS.
 fn with_security_headers(mut response: Response, is_named: bool) -> Response {
     let headers = response.headers_mut();
     let kind = headers.get(header::CONTENT_TYPE).map(HeaderValue::as_bytes).unwrap_or_default();

@@ -1,9 +1,9 @@
-//! The bodies of answers on their way to a reader, which may take nothing of them.
+//! The bodies of answers while they are sent to a reader, who may read nothing.
 //!
-//! A peer of HTTP/1 that reads nothing blocks its connection. One of HTTP/2 may read its connection
-//! and never open the window of an answer, which then waits with everything that it has reserved.
-//! So a connection knows since when each of its answers has waited for its reader. A body that has
-//! nothing to send, such as that of a watch, does not wait for anybody.
+//! A peer of HTTP/1 that reads nothing blocks its connection. A peer of HTTP/2 may read its
+//! connection but never open the flow-control window of one answer. That answer then waits, with
+//! all memory that it has reserved. So a connection records since when each of its answers has
+//! waited for its reader. A body that has nothing to send, such as that of a watch, is not waiting.
 
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -13,16 +13,16 @@ use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::time::Instant;
 
-/// Largest part of a body that is given away at once (bytes): what is given is no longer counted.
+/// Largest part of a body that is passed on at once (bytes), because then it is no longer counted.
 pub(super) const PART_BYTES: usize = 64 << 10;
 
 /// The answers of a connection that wait for their reader: number of the answer, and since when.
-/// There are at most as many as requests that are served.
+/// There are at most as many as there are requests.
 #[derive(Debug, Default)]
 pub(super) struct WaitingAnswers(Mutex<Vec<(u64, Instant)>>);
 
 impl WaitingAnswers {
-    /// Since when the one that has waited for longest has.
+    /// The time since which the longest waiting answer has waited.
     pub(super) fn since(&self) -> Option<Instant> {
         self.known().iter().map(|(_, since)| *since).min()
     }
@@ -47,7 +47,7 @@ impl WaitingAnswers {
 /// The body of an answer, keeping a value alive until it is dropped.
 pub(super) struct Answer<K> {
     body: Body,
-    /// What the body has given and the reader has not been given yet.
+    /// Data that the body has produced and that are not passed on yet.
     rest: Bytes,
     number: u64,
     waiting: Arc<WaitingAnswers>,
@@ -55,7 +55,7 @@ pub(super) struct Answer<K> {
 }
 
 impl<K: Send + Unpin + 'static> Answer<K> {
-    /// The body of the connection's answer of this number. It waits for its reader from now on.
+    /// The body of the connection's answer with this number. From now on it waits for its reader.
     pub(super) fn body(body: Body, (number, waiting): (u64, Arc<WaitingAnswers>), kept: K) -> Body {
         waiting.begin(number);
         Body::new(Self { body, rest: Bytes::new(), number, waiting, _kept: kept })
@@ -83,7 +83,7 @@ impl<K: Unpin> HttpBody for Answer<K> {
                 }
             }
         }
-        // Until it is asked for the next part.
+        // It waits until the next part is asked for.
         this.waiting.begin(this.number);
         let part = this.rest.split_to(this.rest.len().min(PART_BYTES));
         Poll::Ready(Some(Ok(Frame::data(part))))

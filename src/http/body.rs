@@ -20,7 +20,7 @@ use super::json_extent::extent_of;
 use super::objects::Objects;
 use super::problem::Refused;
 
-/// Longer bodies are read on a blocking thread (bytes).
+/// Bodies longer than this are parsed on a blocking thread (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 /// Path of a message that is not inside another one, as `serde_path_to_error` writes it.
 const WHOLE: &str = ".";
@@ -70,7 +70,7 @@ where
     type Rejection = Refused;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Refused> {
-        // Only what is not empty has a type.
+        // A content type is required only of a body that is not empty.
         let checked = check_type(&request, &JSON_TYPES);
         let bytes = read(request).await?;
         if bytes.is_empty() {
@@ -103,8 +103,8 @@ fn check_type(request: &Request, allowed: &[&str]) -> Result<(), Refusal> {
     Err(Refusal::new(Code::UnsupportedMediaType, message))
 }
 
-/// Reads a body to its end, within the limit of its route. Memory for what is unpacked beyond the
-/// bytes that arrive is reserved here.
+/// Reads a body to its end, within the limit of its route. If it is longer unpacked than as sent,
+/// memory for the difference is reserved here.
 async fn read(request: Request) -> Result<Bytes, Refusal> {
     let BodyLimit(limit) = *request.extensions().get().expect("every route has a limit");
     let lease = Lease::current();
@@ -162,7 +162,7 @@ async fn message<T: DeserializeOwned + Send + 'static>(bytes: Bytes) -> Result<T
     in_background(move || json(&bytes)).await?
 }
 
-/// Reads JSON.
+/// Parses JSON.
 ///
 /// # Errors
 /// The body is not JSON (with the byte at fault) or not of the schema (with the field).

@@ -1,4 +1,4 @@
-//! Who calls, for the routes.
+//! The caller of a request, as a parameter of the routes.
 
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;

@@ -1,7 +1,7 @@
-//! Headers that make a change safe.
+//! Headers for safe changes.
 //!
-//! `Idempotency-Key` names a request, so that its repetition creates nothing. `If-Match` refuses a
-//! change of what has changed meanwhile (RFC 9110, section 13.1.1).
+//! `Idempotency-Key` names a request, so that its repetition creates nothing. `If-Match` makes the
+//! service refuse a change if the object has changed meanwhile (RFC 9110, section 13.1.1).
 
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
@@ -19,14 +19,14 @@ const IF_MATCH: &str = "If-Match";
 #[derive(Clone, Debug)]
 pub(super) struct IdempotencyKey(pub Option<String>);
 
-/// The etag that a change asks for; `None` for any.
+/// The etag on which a change depends; `None` for any.
 #[derive(Clone, Debug)]
 pub(super) struct IfMatch(pub Option<String>);
 
-/// Header of an answer: the etag of what it has.
+/// Header of an answer: the etag of its content.
 pub(super) type ETag = [(HeaderName, HeaderValue); 1];
 
-/// Header of an answer that has created something: where it is.
+/// Header of an answer that has created an object: the path of the object.
 pub(super) type Location = [(HeaderName, String); 1];
 
 impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
@@ -38,7 +38,7 @@ impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
 }
 
 impl IdempotencyKey {
-    /// The name of a request whose body may have one, too.
+    /// The name of a request. The body may have a name, too.
     ///
     /// # Errors
     /// They differ.
@@ -63,7 +63,7 @@ impl<S: Send + Sync> FromRequestParts<S> for IfMatch {
 }
 
 impl IfMatch {
-    /// The etag of a change whose body may have one, too.
+    /// The etag of a change. The body may have an etag, too.
     ///
     /// # Errors
     /// They differ.
@@ -79,7 +79,7 @@ pub(super) fn etag(etag: &str) -> ETag {
     [(header::ETAG, value.unwrap_or(HeaderValue::from_static("\"\"")))]
 }
 
-/// The header with the path of something in a list.
+/// The header with the path of an object in a list.
 pub(super) fn location(list: &str, id: &str) -> Location {
     [(header::LOCATION, format!("{list}/{id}"))]
 }

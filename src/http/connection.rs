@@ -27,14 +27,14 @@ use super::unread::{self, Discards};
 
 /// Largest head of a request (bytes).
 const HEAD_BYTES: usize = 16 << 10;
-/// HTTP/2 flow-control windows (bytes): of a connection, and of a stream. A peer may send this much
-/// before a request reads it.
+/// HTTP/2 flow-control windows (bytes): of a connection, and of a stream. A peer may send this many
+/// bytes before a request reads them.
 const WINDOWS_BYTES: [u32; 2] = [512 << 10, 256 << 10];
 /// Most bytes of answers that one stream buffers for a slow reader.
 const SEND_BYTES: usize = 256 << 10;
 /// Most concurrent requests of one HTTP/2 connection.
 const STREAMS: u32 = 128;
-/// Interval of pings to a peer of HTTP/2, and the time that it has to answer.
+/// Interval of pings to a peer of HTTP/2, and the time within which it must answer.
 const PING_INTERVAL: Duration = Duration::from_secs(20);
 const PING_TIMEOUT: Duration = Duration::from_secs(20);
 /// Slowest rate of a reader (bytes/s).
@@ -54,40 +54,40 @@ pub(super) struct Peer {
     pub(super) is_late: bool,
 }
 
-/// How long a connection waits for its peer.
+/// Longest times that a connection waits for its peer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ConnectionPatience {
-    /// For the head of the first request, and for the rest of a head that has begun.
+    /// Time for the head of the first request, and for the rest of a head that has begun.
     pub(super) head: Duration,
-    /// For the next request.
+    /// Time until the next request.
     pub(super) idle: Duration,
-    /// For progress of an answer.
+    /// Time without progress of an answer.
     pub(super) silence: Duration,
 }
 
-/// What a connection does now. Times are in ms since it was opened, 0 for none.
+/// The present activity of a connection. Times are in ms since it was opened, 0 for none.
 #[derive(Debug)]
 struct Activity {
     opened: Instant,
-    /// Number of requests that are served now.
+    /// Number of requests that are being served.
     running: AtomicUsize,
     /// When the last request ended.
     ended_ms: AtomicU64,
-    /// Since when the peer has read nothing of an answer.
+    /// Time since which the peer has read nothing of an answer.
     blocked_ms: AtomicU64,
-    /// When the head of the next request began. Known for HTTP/1 only, where the peer sends nothing
-    /// but requests.
+    /// When the head of the next request began. It is known for HTTP/1 only, where the peer sends
+    /// nothing but requests.
     head_ms: AtomicU64,
     is_http1: AtomicBool,
     /// Number of requests so far.
     requests: AtomicU64,
-    /// Answers whose reader takes nothing.
+    /// Answers whose reader reads nothing.
     waiting: Arc<WaitingAnswers>,
-    /// Bodies that nobody reads any more.
+    /// Bodies that no call reads any more.
     discards: Discards,
 }
 
-/// A request that is served. Dropping it ends it.
+/// A request that is being served. Dropping it marks its end.
 struct Running(Arc<Activity>);
 
 impl Activity {
@@ -106,7 +106,7 @@ impl Activity {
         0 < self.running.load(Ordering::Acquire)
     }
 
-    /// When the connection is to be closed if nothing changes; `None` if there is no reason.
+    /// When the connection is closed if nothing changes; `None` if it is not to be closed.
     fn deadline(&self, patience: &ConnectionPatience) -> Option<Instant> {
         let after = |ms: u64, wait: Duration| self.opened + Duration::from_millis(ms) + wait;
         let blocked_ms = self.blocked_ms.load(Ordering::Acquire);
@@ -114,7 +114,7 @@ impl Activity {
             return Some(after(blocked_ms, patience.silence));
         }
         if self.is_running() {
-            // As for a body: twice the silence, and the time of what it has been given.
+            // As for a body: twice the silence, plus the time for the part that was passed on.
             let part = Duration::from_secs(PART_BYTES as u64 / RATE_MIN);
             let wait = patience.silence + patience.silence + part;
             return self.waiting.since().map(|since| since + wait);
@@ -133,7 +133,7 @@ impl Activity {
 }
 
 impl Running {
-    /// The body of its answer, which keeps it.
+    /// The body of its answer. The body keeps the request until it is dropped.
     fn answer(self, body: Body) -> Body {
         let Self(activity) = &self;
         let number = activity.requests.fetch_add(1, Ordering::Relaxed);
@@ -249,7 +249,7 @@ impl<I> Watched<I> {
             Poll::Ready(_) => blocked_ms.store(0, Ordering::Release),
             Poll::Pending => {
                 let now = self.activity.now_ms();
-                // Err: it was blocked before.
+                // Err: it was already blocked.
                 blocked_ms.compare_exchange(0, now, Ordering::AcqRel, Ordering::Acquire).ok();
             }
         }
@@ -267,7 +267,7 @@ impl<I: Read + Unpin> Read for Watched<I> {
         let is_between = !self.activity.is_running() && !discards.is_any();
         if outcome.is_ready() && is_http1.load(Ordering::Acquire) && is_between {
             let now = self.activity.now_ms();
-            // Err: the head began before.
+            // Err: the head had already begun.
             head_ms.compare_exchange(0, now, Ordering::AcqRel, Ordering::Acquire).ok();
         }
         outcome
@@ -285,8 +285,8 @@ impl<I: Write + Unpin> Write for Watched<I> {
         outcome
     }
 
-    // With TLS a write fills the buffer of the encryption, and a flush waits for the peer. Without,
-    // a flush is ready at once; it comes after the writes, so it hides none that is pending.
+    // With TLS a write fills the buffer of the encryption, and a flush waits for the peer. Without
+    // TLS a flush is ready at once. It comes after the writes, so it hides no pending write.
     fn poll_flush(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<io::Result<()>> {
         let outcome = Pin::new(&mut self.io).poll_flush(context);
         self.note(&outcome);

@@ -1,8 +1,8 @@
-//! What tells browsers that pages of other hosts may call the service (CORS: WHATWG Fetch, section
-//! 3.3). Who may is decided where a request is admitted.
+//! Answers that allow browsers to call the service from pages of other hosts (CORS: WHATWG Fetch,
+//! section 3.3). The admission of a request decides which pages may call.
 //!
-//! Pages bring a key. Cookies are never allowed (`Access-Control-Allow-Credentials`), so a page of
-//! another host cannot act for who is signed in.
+//! Pages send a key. Cookies are never allowed (`Access-Control-Allow-Credentials`), so a page of
+//! another host cannot act for a user who is signed in.
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -18,15 +18,15 @@ const REQUEST_FIELDS: &str = "authorization, content-encoding, content-type, ide
                               if-match, if-none-match, last-event-id, range, traceparent, \
                               tus-resumable, upload-length, upload-metadata, upload-offset, \
                               x-graphfix-session";
-/// Header fields of answers that a page may read, beside those that any page may.
+/// Header fields of answers that a page may read, besides those that every page may read.
 const ANSWER_FIELDS: &str = "content-disposition, etag, location, retry-after, tus-resumable, \
                              upload-expires, upload-length, upload-offset, www-authenticate, \
                              x-graphfix-node, x-request-id";
-/// Time for which a browser need not ask again (s).
+/// Time for which a browser may remember the answer (s).
 const ASKED_FOR: &str = "600";
 
-/// Answers the question of a browser whether a page may call, and marks the answers that a page may
-/// read.
+/// Answers the question of a browser whether a page may call (preflight), and marks the answers
+/// that a page may read.
 pub(super) async fn share(
     State(origins): State<WebOrigins>,
     request: Request,
@@ -50,7 +50,7 @@ pub(super) async fn share(
     response
 }
 
-/// Whether a browser asks before the request of a page (a preflight request).
+/// Whether this is the question of a browser before the request of a page (a preflight request).
 fn is_question(request: &Request) -> bool {
     request.method() == Method::OPTIONS
         && request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD)

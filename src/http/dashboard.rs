@@ -19,17 +19,17 @@ use super::pages;
 /// Path and content of each file.
 const FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/dashboard.rs"));
 
-/// The page, which names the others.
+/// The page, which loads the other files.
 const PAGE: &str = "/index.html";
-/// The part of the page that says where tiles for maps are: nowhere.
+/// The part of the page with the address of map tiles: none.
 const NO_TILES: &str = "<meta name=\"graphfix-tiles\" content=\"\">";
 
-/// A name with the hash of its content never has another content.
+/// Caching of a file whose name has the hash of its content: the content never changes.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
-/// The page names the files of this version.
+/// Caching of the page, which names the files of this version.
 const ASK_AGAIN: &str = "no-cache";
 
-/// The files with their gzip form, which is made when it is first asked for.
+/// The files with their gzip form, which is made at the first request.
 #[derive(Clone)]
 struct Files {
     packed: Arc<[OnceLock<Bytes>]>,
@@ -53,7 +53,7 @@ pub(super) fn routes(tiles: Option<&Tiles>) -> Router {
         .with_state(files)
 }
 
-/// The page that names the tiles, if there are any.
+/// The page with the address of the tiles, if there are any.
 fn with_tiles(page: &'static [u8], tiles: Option<&Tiles>) -> Bytes {
     let Some(Tiles { template, attribution, .. }) = tiles else { return Bytes::from_static(page) };
     let (template, attribution) = (escaped(template), escaped(attribution));
@@ -69,7 +69,7 @@ fn escaped(text: &str) -> String {
 }
 
 /// `Content-Security-Policy` of the dashboard: its own files and calls, nothing inline, and
-/// pictures of the host of tiles, if there is one.
+/// pictures from the host of the tiles, if there is one.
 fn policy(tiles: Option<&Tiles>) -> HeaderValue {
     let tiles = tiles.map(|tiles| format!(" {}", tiles.origin)).unwrap_or_default();
     let policy = format!(
@@ -79,7 +79,7 @@ fn policy(tiles: Option<&Tiles>) -> HeaderValue {
     policy.try_into().expect("the configuration has checked the host")
 }
 
-/// `GET /`: the page, which loads the others.
+/// `GET /`: the page, which loads the other files.
 async fn page_of(State(files): State<Files>, headers: HeaderMap) -> Response {
     files.answer(PAGE, &headers).unwrap_or_default()
 }

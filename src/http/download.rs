@@ -8,7 +8,7 @@ use futures::{Stream, TryStreamExt};
 
 use crate::contract::{Refusal, log_failure};
 
-/// A file of this name and media type. If its content breaks off, so does the connection.
+/// A file of this name and media type. If reading its content fails, the connection is broken.
 pub(super) fn download(
     name: &str,
     kind: &str,

@@ -1,5 +1,5 @@
-//! `GET /docs/errors`: every code with its cause and remedy, where the `type` of a problem document
-//! points.
+//! `GET /docs/errors`: every code with its cause and remedy. The `type` of a problem document
+//! points to this page.
 
 use std::fmt::Write;
 
@@ -10,7 +10,7 @@ use crate::refusal::{Class, Code};
 
 use super::problem::http_status;
 
-/// The page needs nothing but itself.
+/// `Content-Security-Policy` of the page, which loads no other file.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'";
 const HEAD: &str = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
     <title>Graphfix: errors</title><style>body{font:16px/1.5 sans-serif;max-width:50rem;\

@@ -23,10 +23,10 @@ use super::problem::Problem;
 const HANDSHAKE_BYTES: usize = 16 << 10;
 /// First byte of a TLS connection: a record of a handshake (RFC 8446, section 5.1).
 const HANDSHAKE_RECORD: u8 = 22;
-/// How long, and for how many bytes, a refused peer has time to read why.
+/// Time, and bytes, that a refused peer has to read the refusal.
 const FAREWELL: Duration = Duration::from_secs(1);
 const FAREWELL_BYTES: usize = 64 << 10;
-/// A connection of HTTP/2 begins so (RFC 9113, section 3.4), whose peer reads frames only.
+/// The first bytes of an HTTP/2 connection (RFC 9113, section 3.4). Its peer reads only frames.
 const HTTP2_PREFACE: &[u8] = b"PRI ";
 /// Types of frames, and a reason to end a connection (RFC 9113, sections 6.5, 6.8 and 7).
 const SETTINGS: u8 = 4;
@@ -36,15 +36,15 @@ const INADEQUATE_SECURITY: u32 = 12;
 /// A connection with TLS.
 pub(super) type Encrypted = TlsStream<Bounded>;
 
-/// A connection that stops reading when its peer has sent as much as it may.
+/// A connection that stops reading when its peer has sent the most that it may.
 pub(super) struct Bounded {
     stream: TcpStream,
     /// Bytes that may still be read.
     left: Arc<AtomicUsize>,
 }
 
-/// The connection after the handshake; `None` if it failed, took longer than `patience`, or had too
-/// many bytes. The peer is then told why, where it can read it.
+/// The connection after the handshake. `None` if the handshake failed, took longer than `patience`,
+/// or had too many bytes. The peer then gets a refusal, if it can read one.
 pub(super) async fn agree(
     stream: TcpStream,
     tls: &ServerTls,
@@ -68,7 +68,7 @@ pub(super) async fn agree(
     }
 }
 
-/// Why there was no handshake, and the connection if its peer is still there.
+/// Why the handshake failed, and the connection if its peer is still there.
 type NotAgreed = (io::Error, Option<TcpStream>);
 
 async fn agreed(stream: TcpStream, tls: &ServerTls) -> Result<Encrypted, NotAgreed> {
@@ -112,7 +112,7 @@ async fn refuse_plain(mut stream: TcpStream, first: &[u8]) -> Option<TcpStream> 
     Some(stream)
 }
 
-/// The end of a connection of HTTP/2, with a refusal for who reads its log.
+/// The end of an HTTP/2 connection, with a refusal for the log of the peer.
 fn goodbye(refusal: &Refusal) -> Vec<u8> {
     let text = format!("{}: {} ({})", refusal.code, refusal.message, refusal.code.remedy());
     let content = [&[0; 4][..], &INADEQUATE_SECURITY.to_be_bytes(), text.as_bytes()].concat();
@@ -125,15 +125,15 @@ fn frame(kind: u8, content: &[u8]) -> Vec<u8> {
     [&length[..], &[kind, 0, 0, 0, 0, 0], content].concat()
 }
 
-/// Ends a connection so that its peer can read what was sent last: the system would discard it if
-/// bytes of the peer were unread.
+/// Ends a connection so that its peer can read the last bytes sent. If bytes of the peer were
+/// unread, the system would discard what was sent.
 async fn take_leave(mut stream: TcpStream) {
     let discard = async {
         stream.shutdown().await?;
         let mut rest = stream.take(FAREWELL_BYTES as u64);
         tokio::io::copy(&mut rest, &mut tokio::io::sink()).await
     };
-    // Err: the peer has ended the connection, or does not.
+    // Err: the peer has ended the connection, or does not end it in time.
     drop(timeout(FAREWELL, discard).await);
 }
 
@@ -145,7 +145,8 @@ impl AsyncRead for Bounded {
     ) -> Poll<io::Result<()>> {
         let left = self.left.load(Ordering::Relaxed);
         if left == 0 {
-            // Nothing wakes the task: `agreed` looks at what is left, and ends the handshake.
+            // Nothing wakes the task here: `agreed` checks the remaining bytes, and ends the
+            // handshake.
             return Poll::Pending;
         }
         let before = buffer.filled().len();

@@ -1,7 +1,7 @@
-//! What the head of a REST request says of its query and its body, beside host and key.
+//! Checks of the query and the body's encoding in the head of a REST request.
 //!
-//! Calls with parameters read their query themselves, and refuse those that they do not have. A
-//! call without any does not look at it, so that is done here, for all of them.
+//! Calls with parameters read their query themselves, and refuse unknown ones. A call without
+//! parameters does not read its query, so the check is made here for all such calls.
 
 use std::collections::BTreeSet;
 use std::sync::LazyLock;
@@ -15,9 +15,9 @@ use crate::refusal::Code;
 
 use super::{openapi, uploads};
 
-/// What packs bodies in transit (RFC 9110, section 8.4.1), as the answer to another one lists it.
+/// Supported encodings of bodies (RFC 9110, section 8.4.1), for the refusal of another one.
 pub(super) const ENCODINGS: HeaderValue = HeaderValue::from_static("gzip, identity");
-/// Paths of calls begin with this.
+/// Beginning of the paths of calls.
 const CALLS: &str = "/v1/";
 
 /// Methods and paths of the calls without parameters.
@@ -35,7 +35,7 @@ pub(super) fn check(call: &Call, request: &Request) -> Result<(), Refusal> {
 
 fn check_query(call: &Call, uri: &Uri) -> Result<(), Refusal> {
     let path = uri.path();
-    // What the protocol tus leaves to its clients is not refused.
+    // The protocol tus lets its clients add parameters, so they are not refused.
     let is_checked = path.starts_with(CALLS) && !path.starts_with(uploads::PATH);
     if uri.query().is_none() || !is_checked || !WITHOUT_QUERY.contains(call.rest) {
         return Ok(());

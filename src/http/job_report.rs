@@ -13,7 +13,7 @@ use crate::refusal::Code;
 use super::body::StrictQuery;
 use super::problem::Refused;
 
-/// The page needs nothing but its own style sheet.
+/// `Content-Security-Policy` of the page, which needs only its own style sheet.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
 
@@ -68,7 +68,7 @@ pub(super) async fn report(
     Ok(response)
 }
 
-/// The form of a name.
+/// The form with this name.
 ///
 /// # Errors
 /// There is no such form.
@@ -83,12 +83,12 @@ fn named(format: &str) -> Result<Form, Refusal> {
     }
 }
 
-/// HTML for who prefers it to JSON, as browsers do.
+/// HTML for a client that prefers it to JSON, as browsers do.
 fn accepted(headers: &HeaderMap) -> Form {
     let texts = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let ranges: Vec<(String, f64)> =
         texts.flat_map(|text| text.split(',')).filter_map(media_range).collect();
-    // The most specific range that a type is in counts, RFC 9110, 12.5.1.
+    // The most specific range that contains a type counts (RFC 9110, section 12.5.1).
     let quality = |kind: &str| {
         let group = format!("{}/*", kind.split('/').next().unwrap_or_default());
         let of = |name: &str| ranges.iter().find(|(range, _)| range == name);

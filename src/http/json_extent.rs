@@ -1,4 +1,4 @@
-//! Counts what a JSON body contains, before it is read as a message.
+//! Counts the content of a JSON body, before it is read as a message.
 
 use memchr::memchr2;
 
@@ -39,7 +39,7 @@ pub(super) fn extent_of(text: &[u8]) -> Extent {
             _ => {}
         }
     }
-    // An epoch that the text cuts off.
+    // The text ends within this epoch.
     observations.into_iter().for_each(|count| extent.add_epoch(count));
     extent
 }
@@ -72,7 +72,7 @@ mod tests {
         let text = br#"{"session": "{[{[{", "epochs": [
             {"seq": 1, "observations": [{"satellite": "G\"05", "code": "1C"}, {}]},
             {"odometry": {"displacementM": [1, 2, 3]}, "observations": []}]}"#;
-        // Beside the epochs: braces and brackets of other lists and objects, and commas outside
+        // Besides the epochs: braces and brackets of other lists and objects, and commas outside
         // of the epochs: {, epochs[, observations[ twice, odometry{, displacementM[; two commas.
         assert_eq!(extent_of(text), counted(&[2, 0], 8));
         assert_eq!(extent_of(b"{\"epochs\":[{\"observations\":[{},{},"), counted(&[2], 3));

@@ -18,7 +18,7 @@ pub(super) struct PageQuery {
     pub(super) page_token: String,
 }
 
-/// How much of each item a list has, by its name.
+/// The view of the items of a list, by its name.
 pub(super) fn view(name: Option<String>) -> Result<i32, Refusal> {
     let known = |name: &str| v1::View::from_str_name(&format!("VIEW_{name}"));
     named("view", name, known, "BASIC or FULL")

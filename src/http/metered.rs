@@ -15,13 +15,13 @@ use crate::refusal::Code;
 
 /// Memory for a body whose length is unknown is reserved in steps of this size (bytes).
 const STEP_BYTES: usize = 16 << 10;
-/// Memory of a body that goes to the disk as it arrives: the parser's buffer and chunks of the
-/// network and the disk.
+/// Memory of a body that is written to the disk as it arrives (bytes): the parser's buffer, and
+/// chunks of the network and the disk.
 const PASSING_BYTES: usize = 2 << 20;
 /// Slowest rate of a body (bytes/s).
 const RATE_MIN: u64 = 16 << 10;
 
-/// How long a body may take.
+/// Longest times for a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Patience {
     /// Longest time without a byte.
@@ -33,15 +33,15 @@ pub(super) struct Metered {
     body: Body,
     lease: Lease,
     reserved: usize,
-    /// Whether the request keeps its body.
+    /// Whether the request keeps its body in memory.
     is_kept: bool,
     arrived: usize,
     patience: Patience,
     begun: Instant,
     /// When the last bytes arrived.
     last: Instant,
-    /// Wakes the reader once the peer has been silent for too long. Most bodies arrive at once, and
-    /// need none.
+    /// Wakes the reader once the peer has been silent for too long. Most bodies arrive at once and
+    /// need no timer.
     silence: Option<Pin<Box<Sleep>>>,
     /// Converts a refusal into the error that the door expects from a body.
     fault: fn(Refusal) -> BoxError,
@@ -75,8 +75,8 @@ impl Metered {
         })
     }
 
-    /// The body of a request that keeps nothing of it: memory is reserved once, for what is between
-    /// the network and the disk.
+    /// The body of a request that keeps nothing of it in memory. Memory is reserved once, for the
+    /// bytes between the network and the disk.
     ///
     /// # Errors
     /// The budget does not have this much memory.

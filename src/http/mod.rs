@@ -61,11 +61,11 @@ pub use openapi::document;
 pub use problem::{Problem, http_status};
 pub use server::serve;
 
-/// Largest body of a call that brings neither epochs nor a file (bytes).
+/// Largest body of a call without epochs and files (bytes).
 const CONTROL_BYTES: usize = 256 << 10;
 
-/// Both doors on one router: REST, pages and gRPC. What is not in the table of calls
-/// ([`crate::contract::access`]) is refused before it comes to a route.
+/// Both doors on one router: REST, pages and gRPC. A request that is not in the table of calls
+/// ([`crate::contract::access`]) is refused before it reaches a route.
 pub fn router(service: &Service) -> Router {
     let limit = service.limits().body_bytes;
     let admission = (service.clone(), Peers::new(service.nodes()));
@@ -135,7 +135,7 @@ fn controls() -> Router<Service> {
         .route("/docs/errors", get(error_page::errors))
 }
 
-/// Files of jobs that go on after a break.
+/// Uploads of files of jobs in several requests.
 fn uploads() -> Router<Service> {
     let one = get(uploads::get).patch(uploads::append).delete(uploads::remove);
     Router::new()
@@ -144,7 +144,7 @@ fn uploads() -> Router<Service> {
         .layer(middleware::from_fn(uploads::versioned))
 }
 
-/// Calls that bring epochs, bytes or files.
+/// Calls with epochs, bytes or files.
 fn contents() -> Router<Service> {
     Router::new()
         .route("/v1/sessions/{session}/epochs", post(positioning::push_epochs))

@@ -15,8 +15,8 @@ use futures::Stream;
 use crate::contract::Refusal;
 use crate::refusal::Code;
 
-/// Most bytes that may arrive without completing a chunk of a part or the head of one. The parser
-/// keeps them.
+/// Most bytes that may arrive without completing a chunk or the head of a part. The parser keeps
+/// them in memory.
 const PENDING_BYTES: usize = 1 << 20;
 /// Most parts of a body.
 const PARTS: usize = 64;
@@ -34,7 +34,7 @@ pub(super) struct Part {
     pending: Pending,
 }
 
-/// Bytes that have arrived and are not given to the reader yet.
+/// Number of bytes that have arrived and are not passed to the reader yet.
 #[derive(Clone, Default)]
 struct Pending(Arc<AtomicUsize>);
 
@@ -57,8 +57,8 @@ impl Pending {
     }
 }
 
-/// A body that gives one chunk whenever it is asked. The parser would otherwise ask until nothing
-/// more has arrived, and keep it all.
+/// A body that gives one chunk each time it is polled. Otherwise the parser would poll until
+/// nothing more has arrived, and keep everything in memory.
 struct Paced {
     body: BodyDataStream,
     pending: Pending,
@@ -133,7 +133,7 @@ impl Part {
         })
     }
 
-    /// The name of its file at the sender; empty if absent.
+    /// The name of its file on the sender's side; empty if absent.
     pub(super) fn file_name(&self) -> String {
         self.field.file_name().unwrap_or_default().to_owned()
     }

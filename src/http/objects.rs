@@ -1,15 +1,15 @@
-//! JSON in which a message is an object, and nothing else.
+//! JSON in which a message must be an object.
 //!
-//! What serde derives for a message also takes a list: the values of its fields in their order. So
-//! whatever reads a message is wrapped here, at every depth, and asks for a map where a struct is
-//! expected.
+//! The derived implementations of serde also accept a list for a message: the values of its fields
+//! in their order. So everything that reads a message is wrapped here, at every depth, and asks for
+//! a map where a struct is expected.
 
 use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde::forward_to_deserialize_any;
 
-/// A reader of JSON, or a part of what it reads or calls, that takes only objects for messages.
+/// A wrapper around a deserializer, a visitor or a seed that accepts only objects for messages.
 pub(super) struct Objects<T>(pub T);
 
 impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
@@ -40,14 +40,14 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for Objects<D> {
         self.0.deserialize_newtype_struct(name, Objects(visitor))
     }
 
-    // JSON says of everything else what it is.
+    // For every other value JSON itself shows the type.
     forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf unit
         unit_struct seq tuple tuple_struct map enum identifier ignored_any
     }
 }
 
-/// Passes on the values that contain no others.
+/// Forwards the values that contain no other values.
 macro_rules! passed_on {
     ($($visit:ident($value:ty))*) => {
         $(fn $visit<E: Error>(self, value: $value) -> Result<V::Value, E> {

@@ -17,7 +17,7 @@ pub(super) async fn live() -> &'static str {
 }
 
 /// `GET /readyz`: 200 while epochs can be taken and committed, otherwise 503 with `Retry-After`.
-/// The body says why.
+/// The body gives the reason.
 pub(super) async fn ready(State(service): State<Service>) -> Response {
     let readiness = service.readiness().await;
     let Some(delay_ms) = readiness.retry_after_ms else { return Json(readiness).into_response() };
@@ -25,7 +25,7 @@ pub(super) async fn ready(State(service): State<Service>) -> Response {
     (StatusCode::SERVICE_UNAVAILABLE, retry_after, Json(readiness)).into_response()
 }
 
-/// `GET /metrics`: what the service has done and uses, in the text format of OpenMetrics 1.0, which
+/// `GET /metrics`: the meters of the service, in the text format of OpenMetrics 1.0, which
 /// Prometheus reads.
 pub(super) async fn metrics(
     State(service): State<Service>,
@@ -39,7 +39,7 @@ pub(super) async fn schema() -> Json<utoipa::openapi::OpenApi> {
     Json(openapi::document())
 }
 
-/// The answer to a path that looks like that of a call or a page, but does not exist.
+/// The answer to a path with the form of a call or a page that does not exist.
 pub(super) async fn no_route(uri: Uri) -> Refused {
     Refusal::new(Code::RouteNotFound, format!("there is no {}", uri.path())).into()
 }

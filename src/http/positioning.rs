@@ -1,4 +1,4 @@
-//! Epochs in, solutions out.
+//! Epochs are pushed, solutions are returned.
 
 use axum::Json;
 use axum::extract::{FromRequest, Path, Request};

@@ -129,8 +129,8 @@ impl Problem {
         }
     }
 
-    /// The document of a refusal as the last answer of HTTP/1.1 on a connection, for connections
-    /// whose requests are not read.
+    /// The document of a refusal as the last HTTP/1.1 answer on a connection whose requests are not
+    /// read.
     pub(super) fn closing_answer(refusal: &Refusal) -> String {
         let status = http_status(refusal.code.class());
         let body =
@@ -152,7 +152,7 @@ fn retry_after_s(refusal: &Refusal) -> Option<u64> {
     refusal.retry_after.map(|delay| whole_seconds(delay.as_millis() as u64))
 }
 
-/// A delay (ms) as `Retry-After` has it (s).
+/// A delay (ms) in the form of `Retry-After` (s).
 pub(super) const fn whole_seconds(delay_ms: u64) -> u64 {
     delay_ms.div_ceil(1000)
 }

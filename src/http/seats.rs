@@ -1,4 +1,4 @@
-//! How many connections are open, in all and from one address.
+//! The number of open connections, in total and from one address.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -10,7 +10,7 @@ use crate::refusal::Code;
 
 /// File descriptors that are reserved for the database, the feeds and the log.
 const OTHER_FILES: usize = 256;
-/// Where Linux reports how many file descriptors the process may open.
+/// The file in which Linux reports how many file descriptors the process may open.
 const PROCESS_LIMITS: &str = "/proc/self/limits";
 
 /// The connections that may be open. All clones share them.

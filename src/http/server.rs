@@ -29,10 +29,11 @@ const ACCEPT_DELAY: Duration = Duration::from_millis(100);
 /// `closed`.
 ///
 /// While draining, `/readyz` and the gRPC health service report not ready. After
-/// `limits.drain_notice_s` the connections take no more requests, and running ones have
-/// `limits.drain_s` to finish; `closed` begins after them. Whoever connects before it is ready is
-/// told how the service is; all other calls are refused. If a connection cannot be accepted, for
-/// instance because no file descriptor is free, the listener tries again after a delay.
+/// `limits.drain_notice_s` the connections take no more requests, and running requests have
+/// `limits.drain_s` to finish. `closed` begins after them. A client that connects before `closed`
+/// is ready gets answers about the health of the service; all other calls are refused. If a
+/// connection cannot be accepted, for instance because no file descriptor is free, the listener
+/// tries again after a delay.
 pub async fn serve(
     listener: TcpListener,
     service: &Service,
@@ -73,7 +74,7 @@ pub async fn serve(
         connections.abort_all();
         closed.await;
     };
-    // Nothing waits for late connections: they end with the others.
+    // Late connections are not waited for: they end with the others.
     let (_open, is_never) = watch::channel(false);
     tokio::select! {
         never = port.accept(&mut late, &is_never, true) => match never {},
@@ -81,7 +82,7 @@ pub async fn serve(
     }
 }
 
-/// What accepts connections.
+/// The listening port with everything that it needs to serve a connection.
 struct Port<'a> {
     listener: TcpListener,
     service: &'a Service,
@@ -127,7 +128,7 @@ impl<'a> Port<'a> {
             let tls = self.service.tls().cloned();
             match self.seats.take(peer.ip()) {
                 Ok(seat) => {
-                    // Err: the connection is lost already.
+                    // Err: the connection is already lost.
                     stream.set_nodelay(true).ok();
                     let peer = Peer { address: peer.ip(), is_encrypted: tls.is_some(), is_late };
                     let router = self.router.clone();
@@ -168,7 +169,8 @@ async fn serve_stream(
     }
 }
 
-/// Answers a refused connection without waiting: what the socket's buffer does not take is lost.
+/// Answers a refused connection without waiting. Bytes that do not fit into the socket's buffer are
+/// lost.
 fn refuse(stream: TcpStream, refusal: &Refusal) {
     let answer = Problem::closing_answer(refusal);
     // Err: the peer has ended the connection. A peer with HTTP/2 sees only that it ends.

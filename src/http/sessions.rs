@@ -14,7 +14,7 @@ use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, 
 use super::lists::{area, order, view};
 use super::problem::Refused;
 
-/// The session of the path. A session in the body must be the same.
+/// The session in the path. A session in the body must be the same.
 pub(super) fn named(path: String, body: &str) -> Result<String, Refusal> {
     if body.is_empty() || body == path {
         return Ok(path);
@@ -183,7 +183,7 @@ pub(super) async fn update(
 #[utoipa::path(post, operation_id = "sessionsReset",
     path = "/v1/sessions/{session}:reset", tag = "Sessions",
     params(("session" = String, Path, description = "Its id")),
-    // By its name: that of a type is required, and that of an optional one may be `null`.
+    // Named by a reference: a body given by its type would be required, or could be `null`.
     request_body(content = ref("#/components/schemas/ResetSessionRequest"),
         content_type = "application/json", description = "May be empty"),
     responses((status = 200, description = "The session", body = v1::Session), Refused))]

@@ -1,7 +1,7 @@
-//! `/v1/sign-in`: how a browser exchanges a key for a cookie.
+//! `/v1/sign-in`: a browser exchanges a key for a cookie.
 //!
-//! The cookie is out of reach of scripts (`HttpOnly`), and browsers send it from this service's own
-//! pages only (`SameSite=Strict`). A change needs a token, too, which a page reads here.
+//! Scripts cannot read the cookie (`HttpOnly`), and browsers send it only from this service's own
+//! pages (`SameSite=Strict`). A change also needs a token, which a page reads here.
 
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
@@ -15,21 +15,21 @@ use super::conditions::Location;
 use super::connection::Peer;
 use super::problem::Refused;
 
-/// Path of the sign-in of whoever asks.
+/// Path of the sign-in of the browser that sends the request.
 const PATH: &str = "/v1/sign-in";
-/// How long a browser keeps the cookie (s). The service ends a sign-in by itself.
+/// Time for which a browser keeps the cookie (s). The service ends a sign-in by itself.
 const LIFETIME_S: u32 = 12 * 3600;
 /// Name of the cookie.
 pub(super) const COOKIE: &str = "graphfix_sign_in";
-/// Header with the token that a change needs, if a cookie is in place of a key.
+/// Header with the token that a change needs if a cookie is sent instead of a key.
 pub(super) const CSRF: HeaderName = HeaderName::from_static("x-graphfix-csrf");
-/// Header of a proxy that says how the browser has reached it.
+/// Header in which a proxy states the protocol between the browser and itself.
 const FORWARDED_PROTO: &str = "x-forwarded-proto";
 
-/// The header of an answer with something secret.
+/// The header of an answer that contains a secret.
 pub(super) type NoStore = [(HeaderName, HeaderValue); 1];
 
-/// What is secret is not for the memory of browsers and proxies.
+/// Browsers and proxies must not store an answer that contains a secret.
 pub(super) const NO_STORE: (HeaderName, HeaderValue) =
     (header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
 
@@ -124,14 +124,14 @@ pub(super) fn cookie(headers: &HeaderMap) -> Option<&str> {
     named.find(|(name, _)| *name == COOKIE).map(|(_, value)| value)
 }
 
-/// Whether the browser has TLS: to this service, or to a proxy that says so.
+/// Whether the browser uses TLS, to this service or to a proxy that states it.
 fn has_tls(headers: &HeaderMap, peer: Option<&Peer>) -> bool {
     let by_proxy = headers.get(FORWARDED_PROTO).is_some_and(|proto| proto.as_bytes() == b"https");
     by_proxy || peer.is_some_and(|peer| peer.is_encrypted)
 }
 
-/// Sets the cookie, or removes it, and keeps the answer out of the memory of browsers and proxies.
-/// Where the browser has TLS, the cookie never goes without it.
+/// Sets the cookie, or removes it. Browsers and proxies must not store the answer. If the browser
+/// uses TLS, it must never send the cookie without TLS.
 fn set_cookie(has_tls: bool, cookie: Option<&str>) -> SetCookie {
     let (value, lifetime_s) = cookie.map_or(("", 0), |cookie| (cookie, LIFETIME_S));
     let secure = if has_tls { "; Secure" } else { "" };

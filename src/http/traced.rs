@@ -1,4 +1,4 @@
-//! The spans of requests: which are traced, and what their spans say.
+//! The spans of requests: which requests are traced, and the content of their spans.
 
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ use crate::traces::{Trace, TraceContext, TraceSpan, Work};
 /// Header with the span of the caller (W3C Trace Context).
 const CALLER: &str = "traceparent";
 
-/// The span of an admitted request, if it is traced. What it calls continues it.
+/// The span of an admitted request, if it is traced. Spans of the work for it are its children.
 pub(super) fn begun(
     service: &Service,
     target: &Target,

@@ -1,11 +1,11 @@
 //! Bodies that a call has not read to their end when it is answered.
 //!
 //! If a connection of HTTP/1 is closed while its peer still sends, the peer's system discards what
-//! it has received: an early refusal would be lost. So what is left of a body is read and discarded
-//! while the answer is sent (RFC 9112, section 9.6). The limit is one of time, as in other servers
-//! (nginx's `lingering_time` and `lingering_timeout`): a fast client sends any number of bytes
-//! before it reads, and discarded bytes cost no memory. HTTP/2 needs none of this: its streams end
-//! without their connection.
+//! it has received: an early refusal would be lost. So the rest of a body is read and discarded
+//! while the answer is sent (RFC 9112, section 9.6). The limit is a time, as in other servers
+//! (nginx's `lingering_time` and `lingering_timeout`), because a fast client sends any number of
+//! bytes before it reads, and discarded bytes cost no memory. HTTP/2 does not need this: its
+//! streams end without their connection.
 
 use std::pin::Pin;
 use std::sync::Arc;
@@ -21,29 +21,29 @@ use hyper::header::EXPECT;
 use tokio::runtime::Handle;
 use tokio::time::timeout;
 
-/// Longest time without a byte, after which the rest is given up.
+/// Longest time without a byte. After it the rest is no longer read.
 const SILENCE: Duration = Duration::from_secs(2);
-/// Longest time in all: 375 MB at 100 Mbit/s.
+/// Longest time to discard a body: 375 MB at 100 Mbit/s.
 const TIME_MAX: Duration = Duration::from_secs(30);
 
-/// The body of a request, of which the rest is discarded when it is dropped.
+/// The body of a request. When it is dropped, its rest is read and discarded.
 struct Unread {
-    /// `None` once it has been read to its end or has failed.
+    /// The body; `None` once it has been read to its end or has failed.
     body: Option<Incoming>,
     discards: Discards,
 }
 
-/// Number of bodies of a connection whose rest is discarded now.
+/// Number of bodies of a connection whose rest is being discarded.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Discards(Arc<AtomicUsize>);
 
 impl Discards {
-    /// Whether there is one: what arrives then is no head of another request.
+    /// Whether there is one. Bytes that arrive meanwhile are not the head of another request.
     pub(super) fn is_any(&self) -> bool {
         0 < self.0.load(Ordering::Acquire)
     }
 
-    /// Counts one until the guard is dropped.
+    /// Counts one more, until the guard is dropped.
     fn begin(&self) -> Discard {
         self.0.fetch_add(1, Ordering::AcqRel);
         Discard(self.clone())
@@ -59,9 +59,9 @@ impl Drop for Discard {
     }
 }
 
-/// The body of a request as calls read it. `discards` are those of its connection.
+/// The body of a request for the calls. `discards` belongs to its connection.
 pub(super) fn body(request: hyper::Request<Incoming>, discards: &Discards) -> hyper::Request<Body> {
-    // A peer that waits for leave has sent nothing.
+    // A peer that waits for `100 Continue` has sent nothing.
     let is_sent = request.version() < Version::HTTP_2 && !request.headers().contains_key(EXPECT);
     request.map(|body| match is_sent && !body.is_end_stream() {
         true => Body::new(Unread { body: Some(body), discards: discards.clone() }),

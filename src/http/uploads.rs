@@ -1,4 +1,4 @@
-//! `/v1/uploads`: files of jobs that go on after a break, by the protocol tus.
+//! `/v1/uploads`: files of jobs that arrive in several requests, by the protocol tus.
 //!
 //! Source: tus resumable upload protocol 1.0.0 (2016): the core, and the extensions creation,
 //! expiration and termination.
@@ -38,7 +38,7 @@ const UPLOAD_EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
 /// Header of an answer: when the upload is removed.
 type Expiry = [(HeaderName, String); 1];
 
-/// States the version of the protocol in each answer, as it asks for.
+/// States the version of the protocol in each answer, as the protocol requires.
 pub(super) async fn versioned(request: Request, next: Next) -> Response {
     let mut response = next.run(request).await;
     response.headers_mut().insert(TUS_RESUMABLE, VERSION);

@@ -20,7 +20,7 @@ use super::solutions::revisions;
 
 /// Header with which a browser names the last event that it has.
 const LAST_EVENT: &str = "last-event-id";
-/// Delay before a browser watches again after a break.
+/// Delay before a browser watches again after an interruption.
 const RETRY: Duration = Duration::from_secs(2);
 
 /// Where a watch begins.
@@ -63,7 +63,7 @@ pub(super) async fn watch(
     let request = v1::WatchSolutionsRequest {
         session,
         revisions: query.revisions.map_or(Ok(0), |name| revisions(&name))?,
-        // A cursor is behind the number at which a watch began.
+        // A cursor is later than the number from which a watch began.
         after_seq: query.after_seq.filter(|_| last.is_none()),
         cursor: last.unwrap_or(query.cursor),
     };
@@ -74,7 +74,7 @@ pub(super) async fn watch(
     }))
 }
 
-/// Messages as server-sent events, as `event` makes them; a refusal is the event `end`.
+/// Messages as server-sent events, converted by `event`. A refusal becomes the event `end`.
 pub(super) fn events<T>(
     messages: impl Stream<Item = Result<T, Refusal>> + Send + 'static,
     event: impl Fn(T) -> Event + Send + 'static,
@@ -86,7 +86,7 @@ pub(super) fn events<T>(
     Sse::new(retry.chain(events))
 }
 
-/// An event of this name.
+/// An event with this name.
 pub(super) fn named(name: &str, content: &impl Serialize) -> Event {
     let written = "a message is texts and finite numbers";
     Event::default().event(name).json_data(content).expect(written)

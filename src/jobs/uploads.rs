@@ -67,8 +67,8 @@ impl Jobs {
     /// Begins an upload of a file of this size.
     ///
     /// # Errors
-    /// The service takes no jobs, the file is too large, the tenant has its most uploads or not
-    /// enough of its quota of bytes, or the store fails.
+    /// The service takes no jobs, the file is too large, the tenant's limit of uploads is
+    /// reached, its quota of bytes has no room for this one, or the store fails.
     pub async fn begin_upload(&self, name: &str, length: u64) -> Result<UploadInfo, JobError> {
         let (desk, limits) = (&self.desk, &self.desk.limits);
         let files = desk.files()?;

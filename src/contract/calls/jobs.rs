@@ -56,7 +56,7 @@ impl Arriving {
     /// Begins the file of a part. `name` is the name of the file on the user's side.
     ///
     /// # Errors
-    /// There is no such part, the upload has its most files, or the disk fails.
+    /// There is no such part, the limit of files is reached, or the disk fails.
     pub async fn begin(&mut self, part: &str, name: &str) -> Result<ArrivingPart, Refusal> {
         let part = Part::from_name(part).ok_or_else(|| {
             let given = texts::brief(part);

@@ -22,7 +22,8 @@ pub struct Answer {
 /// Begins an upload of a file of this size. `name` is the name of the file on the user's side.
 ///
 /// # Errors
-/// The service takes no jobs, the file is too large, or the tenant has its most uploads.
+/// The service takes no jobs, the file is too large, or the tenant's limit of uploads is
+/// reached.
 pub async fn create(caller: &Caller, name: &str, length: u64) -> Result<Answer, Refusal> {
     Ok(Answer::of(&caller.jobs().begin_upload(name, length).await?))
 }

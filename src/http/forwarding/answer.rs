@@ -1,5 +1,5 @@
-//! The body of an answer that another node sends. Where it breaks, a gRPC call ends with a status
-//! after which clients come again.
+//! The body of an answer that another node sends. If it breaks, a gRPC call ends with a status that
+//! makes clients try again.
 
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -19,7 +19,7 @@ type Ending = Pin<Box<dyn Future<Output = Refusal> + Send>>;
 /// The body of an answer of another node.
 pub(super) struct Forwarded {
     body: Incoming,
-    /// Why the answer ends before its body does.
+    /// The cause that ends the answer before its body ends.
     ending: Ending,
     is_grpc: bool,
     is_over: bool,
@@ -27,8 +27,8 @@ pub(super) struct Forwarded {
 }
 
 impl Forwarded {
-    /// The body of an answer, which ends when the other node does (`ended`), or when this one stops
-    /// (`stopping`).
+    /// The body of an answer. It ends early when the other node ends (`ended`), or when this node
+    /// stops (`stopping`).
     pub(super) fn new(
         body: Incoming,
         permit: Permit,

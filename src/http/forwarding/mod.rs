@@ -1,10 +1,9 @@
-//! Requests that another node of the cluster answers: they are sent on once, with their bodies as
-//! they come, and so are the answers.
+//! Requests that another node of the cluster answers. They are forwarded once; bodies and answers
+//! are passed on as they arrive.
 //!
-//! The first node has checked host and key. It shows by its secret that it is a node, and the
-//! second one takes over what it has checked. A request that was sent on is never sent on again.
-//! When the second node ends, or this one stops, the answer ends with a status after which clients
-//! come again.
+//! The first node has checked host and key. Its secret proves that it is a node, and the second
+//! node trusts its checks. A forwarded request is never forwarded again. If the second node ends,
+//! or the first one stops, the answer ends with a status that makes clients try again.
 
 mod answer;
 mod peers;
@@ -22,13 +21,13 @@ use crate::refusal::Code;
 use answer::Forwarded;
 pub(super) use peers::Peers;
 
-/// Header with the id of the session that a request is for, which balancers hash, too.
+/// Header with the id of the session that a request is for. Balancers use it for hashing, too.
 pub(super) const SESSION: HeaderName = HeaderName::from_static("x-graphfix-session");
-/// Header of a request that another node has sent on: its fence and its secret.
+/// Header of a forwarded request: fence and secret of the node that has forwarded it.
 const FROM: HeaderName = HeaderName::from_static("x-graphfix-from");
-/// Header with the id of the key of a request that another node has sent on; empty for nobody's.
+/// Header of a forwarded request: id of the sender's key; empty if no key was needed.
 const KEY: HeaderName = HeaderName::from_static("x-graphfix-key");
-/// Headers that belong to one connection (RFC 9110, section 7.6.1), and cannot be sent on.
+/// Headers that belong to one connection (RFC 9110, section 7.6.1), and are not forwarded.
 const OF_CONNECTION: [HeaderName; 6] = [
     header::CONNECTION,
     header::EXPECT,
@@ -38,14 +37,14 @@ const OF_CONNECTION: [HeaderName; 6] = [
     HeaderName::from_static("proxy-connection"),
 ];
 
-/// Whether another node has sent a request on.
+/// Whether another node has forwarded a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Mark {
     /// A client has sent it.
     None,
-    /// A node that is not known here, or no node at all. It is checked as that of a client.
+    /// It claims to be forwarded, but not by a known node. It is checked like a client's request.
     Unknown,
-    /// A live node, which has checked it: id of the key.
+    /// A live node has checked and forwarded it; the text is the id of the key.
     Node(String),
 }
 
@@ -72,18 +71,18 @@ pub(super) fn mark(service: &Service, headers: &HeaderMap) -> Mark {
     }
 }
 
-/// Where a request is answered.
+/// The node that answers a request.
 pub(super) enum Route {
-    /// By this node.
+    /// This node.
     Here(Request),
-    /// By another node, which has answered.
+    /// Another node, which has answered.
     Answered(Response),
 }
 
-/// The other node that a request is for, if there is one. `session` is the id that it names.
+/// The other node that a request is for, if there is one. `session` is the id in the request.
 ///
 /// # Errors
-/// The database fails, no node leads, or the request was sent on already.
+/// The database fails, there is no leader, or the request was already forwarded.
 async fn other(
     service: &Service,
     call: &Call,
@@ -104,7 +103,7 @@ async fn other(
     }
 }
 
-/// The id of the session that a request names, in its path or else in its header.
+/// The id of the session that a request names, in its path or otherwise in its header.
 fn session(request: &Request) -> Option<String> {
     let of_path = request.uri().path().strip_prefix("/v1/sessions/");
     let of_path = of_path.map(|rest| rest.split(['/', ':']).next().unwrap_or(rest));
@@ -113,11 +112,11 @@ fn session(request: &Request) -> Option<String> {
 }
 
 impl Peers {
-    /// Sends a request on if another node answers it.
+    /// Forwards a request if another node answers it.
     ///
     /// # Errors
-    /// The database fails, no node leads, the other node cannot be reached, or the request was sent
-    /// on already.
+    /// The database fails, there is no leader, the other node cannot be reached, or the request was
+    /// already forwarded.
     pub(super) async fn route(
         &self,
         service: &Service,
@@ -139,7 +138,7 @@ impl Peers {
         }
     }
 
-    /// Sends a request on to another node, and returns its answer.
+    /// Forwards a request to another node, and returns its answer.
     ///
     /// # Errors
     /// The node cannot be reached.
@@ -162,7 +161,7 @@ impl Peers {
     }
 }
 
-/// The request as the other node takes it.
+/// The request with the headers for the other node.
 fn marked(service: &Service, request: Request, pass: Option<&Pass>) -> Result<Request, Refusal> {
     let (mut parts, body) = request.into_parts();
     let host = parts.headers.remove(header::HOST);

@@ -17,11 +17,11 @@ use crate::contract::Refusal;
 use crate::contract::nodes::{Nodes, OtherNode};
 use crate::refusal::Code;
 
-/// Requests of one connection; the other end takes 128.
+/// Most requests of one connection. The other end allows 128.
 const REQUESTS: usize = 100;
 /// Time to connect.
 const CONNECT: Duration = Duration::from_secs(2);
-/// A node that answers no ping within these times is taken for gone.
+/// A node that does not answer a ping within these times counts as gone.
 const PING_INTERVAL: Duration = Duration::from_secs(2);
 const PING_TIMEOUT: Duration = Duration::from_secs(3);
 /// Flow-control windows (bytes): of a connection, and of a request.
@@ -37,13 +37,13 @@ struct Connections {
     links: Mutex<HashMap<i64, Vec<Link>>>,
 }
 
-/// One connection, and how many requests it has.
+/// One connection, and the number of its requests.
 struct Link {
     sender: SendRequest<Body>,
     open: Arc<AtomicUsize>,
 }
 
-/// One request of a connection, until it is dropped.
+/// The place of one request in a connection, until it is dropped.
 pub(super) struct Permit(Arc<AtomicUsize>);
 
 impl Drop for Permit {
@@ -155,7 +155,7 @@ impl Connections {
         let (cluster, fence) = (self.nodes.cluster.clone(), node.fence);
         tokio::spawn(async move {
             tokio::select! {
-                // Err: its requests have failed, too.
+                // Err: its requests have also failed.
                 _ = connection => {}
                 () = cluster.wait_for_end(fence) => {}
             }

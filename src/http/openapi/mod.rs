@@ -22,7 +22,7 @@ use super::{
     observations, positioning, raw, sessions, sign_in, solutions, tenants, track, uploads, watch,
 };
 
-/// Names of the ways to show who calls.
+/// Names of the security schemes.
 const KEY: &str = "key";
 const SIGN_IN: &str = "signIn";
 const CSRF_TOKEN: &str = "csrfToken";
@@ -128,7 +128,7 @@ pub fn document() -> utoipa::openapi::OpenApi {
                 let rest = call.rest.split('?').next().unwrap_or_default();
                 rest.split_once(' ') == Some((method, path))
             };
-            // A path that the table lacks is not served.
+            // A path that is not in the table is not served.
             if let Some(call) = CALLS.iter().find(is_this) {
                 secure(operation, method, call.need);
             }
@@ -137,7 +137,7 @@ pub fn document() -> utoipa::openapi::OpenApi {
     document
 }
 
-/// The header that every call on a session may have. Its path names the session for the service.
+/// The header that every call on a session may have. The service itself uses the id in the path.
 fn session_header() -> Parameter {
     let description = "The session's id once more, by which a balancer before several nodes finds \
                        the session's node";
@@ -150,7 +150,7 @@ fn session_header() -> Parameter {
         .build()
 }
 
-/// Methods and paths, as the table of calls has them, of the calls whose query has no parameters.
+/// Methods and paths, in the form of the table of calls, of the calls without query parameters.
 pub(super) fn without_query() -> BTreeSet<&'static str> {
     let mut paths = Rest::openapi().paths.paths;
     let mut known = BTreeSet::new();
@@ -185,7 +185,7 @@ fn operations(item: &mut PathItem) -> impl Iterator<Item = (&'static str, &mut O
     of_methods.into_iter().filter_map(|(method, operation)| Some((method, operation.as_mut()?)))
 }
 
-/// The ways to show who calls.
+/// The security schemes.
 fn schemes() -> impl Iterator<Item = (&'static str, SecurityScheme)> {
     let key = HttpBuilder::new()
         .scheme(HttpAuthScheme::Bearer)
@@ -202,7 +202,7 @@ fn schemes() -> impl Iterator<Item = (&'static str, SecurityScheme)> {
     .into_iter()
 }
 
-/// Adds to an operation what it needs of a key.
+/// Adds to an operation the key that it needs.
 fn secure(operation: &mut Operation, method: &str, need: Need) {
     let rights = match need {
         Need::Nothing => {

@@ -1,7 +1,8 @@
-//! Types of texts that the derived schemas lack: choices by their names, and times of RFC 3339.
+//! Types of texts that the derived schemas lack: enumerations by their names, and times of RFC
+//! 3339.
 //!
-//! The schemas are derived from the messages, where these fields are texts. One that is empty while
-//! it has no value may be so by its schema, too, as REST answers it.
+//! The schemas are derived from the messages, in which these fields are texts. If REST sends an
+//! empty text while a field has no value, its schema allows the empty text, too.
 
 use utoipa::openapi::path::Parameter;
 use utoipa::openapi::schema::{AnyOfBuilder, Object, ObjectBuilder, Schema, SchemaType, Type};
@@ -9,9 +10,9 @@ use utoipa::openapi::{KnownFormat, OpenApi, RefOr, SchemaFormat};
 
 use crate::contract::v1;
 
-/// Properties that are times in UTC end with this, and are of RFC 3339.
+/// Ending of the names of properties that are UTC times of RFC 3339.
 const TIME: &str = "Utc";
-/// Times that are empty until what they state has happened: schema and property.
+/// Times that are empty until their event has happened: schema and property.
 const SOMETIMES_EMPTY: [(&str, &str); 8] = [
     ("Base", "lastStoredUtc"),
     ("Job", "startedUtc"),
@@ -39,7 +40,7 @@ pub(super) fn add(document: &mut OpenApi) {
     }
 }
 
-/// Adds its type to a parameter of a call at `path`.
+/// Adds the type of a parameter of a call at `path`.
 pub(super) fn add_to_parameter(path: &str, parameter: &mut RefOr<Parameter>) {
     let RefOr::T(parameter) = parameter else { return };
     let Some(RefOr::T(schema)) = &mut parameter.schema else { return };
@@ -60,7 +61,7 @@ pub(super) fn add_to_parameter(path: &str, parameter: &mut RefOr<Parameter>) {
     choose(schema, &choices);
 }
 
-/// The texts that a property may have, if they are few and known.
+/// The allowed texts of a property, if they are few and known.
 fn choices(schema: &str, property: &str) -> Option<Vec<String>> {
     let or = |other: &str, mut names: Vec<String>| {
         names.push(other.to_owned());
@@ -104,7 +105,7 @@ fn names<E: TryFrom<i32>>(prefix: &str, name: impl Fn(&E) -> &'static str) -> Ve
     values.map(|value| name(&value).trim_start_matches(prefix).to_owned()).collect()
 }
 
-/// Makes a text one of these.
+/// Restricts a text to these choices.
 fn choose(schema: &mut Schema, choices: &[String]) {
     let Schema::Object(text) = schema else { return };
     let is_choice = |text: &str| choices.iter().any(|choice| choice == text);
@@ -112,7 +113,7 @@ fn choose(schema: &mut Schema, choices: &[String]) {
     text.enum_values = Some(choices.iter().map(|choice| choice.as_str().into()).collect());
 }
 
-/// Makes a text a time; one that may be empty, or a time.
+/// Makes a text a time, or a time that may be empty.
 fn date(schema: &mut Schema, may_be_empty: bool) {
     let Schema::Object(text) = schema else { return };
     let format = || Some(SchemaFormat::KnownFormat(KnownFormat::DateTime));
