@@ -1,4 +1,4 @@
-//! Why a service does not open, or stops.
+//! Why a service cannot open, or stops.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -15,43 +15,43 @@ use crate::store::StoreError;
 use crate::tls::TlsError;
 use crate::traces::TracesError;
 
-/// Why a service does not open, or stops.
+/// Why a service cannot open, or stops.
 #[derive(Debug, thiserror::Error)]
 pub enum AppError {
-    /// The database.
+    /// The database fails.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Stored ephemerides or bases.
+    /// Stored ephemerides or bases cannot be read.
     #[error(transparent)]
     Aiding(#[from] AidingError),
-    /// A source of data.
+    /// A source of data is invalid or not allowed.
     #[error(transparent)]
     Fetch(#[from] FetchError),
-    /// The folder of batch jobs.
+    /// The folder of batch jobs cannot be used.
     #[error(transparent)]
     Jobs(#[from] JobError),
-    /// Stored keys.
+    /// Stored keys cannot be read.
     #[error(transparent)]
     Keys(#[from] KeyError),
-    /// Others can reach the address, and anybody could call without a key.
+    /// Other machines could reach the address and call without a key.
     #[error("refusing to listen on {0}: without a key only this machine may be served")]
     NotLoopback(SocketAddr),
-    /// Others can reach the address, and could read keys on their way.
+    /// Other machines could reach the address, and keys could be read in transit.
     #[error("refusing to listen on {0} without TLS: keys could be read on their way")]
     NotEncrypted(SocketAddr),
-    /// The certificate of the service.
+    /// The certificate of the service cannot be used.
     #[error(transparent)]
     Tls(#[from] TlsError),
-    /// The origins of web pages.
+    /// The origins of web pages are invalid.
     #[error(transparent)]
     WebOrigins(#[from] WebOriginError),
-    /// A key of stored secrets.
+    /// A key of stored secrets cannot be used.
     #[error(transparent)]
     Secrets(#[from] SecretsError),
-    /// The traces.
+    /// Traces cannot be sent.
     #[error(transparent)]
     Traces(#[from] TracesError),
-    /// The operator's calibrations of antennas.
+    /// The file with the operator's calibrations of antennas is invalid.
     #[error("{}: {reason}", path.display())]
     Antex {
         /// The file.
@@ -59,7 +59,7 @@ pub enum AppError {
         /// The error in it.
         reason: String,
     },
-    /// The operator's table of the geoid.
+    /// The operator's table of the geoid is invalid.
     #[error("{}: {error}", path.display())]
     Geoid {
         /// The file.

@@ -1,7 +1,7 @@
-//! The composition root: opens a service's desks by its configuration.
+//! The composition root: opens the desks of a service from its configuration.
 //!
 //! `serve`, `demo`, `replay` and the tests of the doors open their desks here, so that limits and
-//! sources of data are connected in one place.
+//! sources of data are connected in one module.
 
 mod error;
 mod worker;
@@ -52,7 +52,7 @@ pub use worker::{WorkerApp, open_worker};
 /// Interval of the check for streams of a network that rovers need.
 const DEMAND_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Interval at which watches of other nodes' sessions read the store.
+/// Interval at which watches of sessions of other nodes read the store.
 const WATCH_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A service with open desks.
@@ -83,7 +83,7 @@ pub async fn open(
     let templates = sources.archives.clone();
     let origins = WebOrigins::new(&configuration.cors)?;
     let connector = connector(fetch, time_limits)?;
-    // The operator's sources may be anywhere, those of clients only at the listed hosts.
+    // The operator's sources may be on any host, those of clients only on the listed hosts.
     let operator_connector =
         Connector::new(sources.policy()?, time_limits, fetch.ca_file.as_deref())?;
     let archives = NavigationArchives::new(templates, operator_connector.clone());
@@ -132,7 +132,7 @@ fn connector(fetch: &FetchConfiguration, time_limits: TimeLimits) -> Result<Conn
     Connector::new(policy, time_limits, fetch.ca_file.as_deref())
 }
 
-/// What a node does for itself each second, and for the cluster once it leads.
+/// Starts the tasks of a node in a cluster: some each second, and others once it leads.
 fn run_in_cluster(
     cluster: &Cluster,
     sessions: &Sessions,
@@ -156,7 +156,7 @@ fn run_in_cluster(
     });
 }
 
-/// The other nodes, and what this one trusts when it calls them.
+/// The other nodes, and the certificates that this node trusts when it calls them.
 fn nodes(cluster: Cluster, configuration: &ClusterConfiguration) -> Result<Nodes, AppError> {
     let files = ClientFiles { ca: configuration.ca_file.clone(), identity: None };
     Ok(Nodes { cluster, tls: ClientTls::new(&files, b"h2")? })
@@ -196,7 +196,7 @@ async fn open_store(
     Ok(store)
 }
 
-/// Encrypts the stored secrets with the key in force, or warns that they are not.
+/// Encrypts the stored secrets with the key in force, or warns that they are not encrypted.
 async fn encrypt_secrets(store: &Store) -> Result<(), AppError> {
     match store.reseal().await? {
         0 => {}
@@ -243,8 +243,8 @@ impl App {
         &self.service
     }
 
-    /// Checks that the service may listen on an address: beyond loopback only if requests need a
-    /// key, and with TLS, unless something before it has TLS (`plaintext`).
+    /// Checks that the service may listen on an address. Beyond loopback, requests must need a key
+    /// and TLS must be on, unless a proxy in front of the service has TLS (`plaintext`).
     ///
     /// # Errors
     /// [`AppError::NotLoopback`], [`AppError::NotEncrypted`].
@@ -266,10 +266,10 @@ impl App {
     }
 
     /// Serves until `stop` is ready. Then it refuses new requests, finishes the running ones, and
-    /// closes. Until then the port tells that it stops.
+    /// closes. Meanwhile the port reports that it is stopping.
     ///
     /// # Errors
-    /// Another service had the database meanwhile, so that this one must start again.
+    /// Another service has had the database meanwhile, so this one must start again.
     pub async fn serve(
         self,
         listener: TcpListener,
@@ -294,7 +294,7 @@ impl App {
     }
 
     /// Finishes the running requests and closes the database. Requests that take longer than
-    /// `limits.drain_s` are cut off; they were not acknowledged.
+    /// `limits.drain_s` are ended; they were not acknowledged.
     pub async fn close(self) {
         let limit = Duration::from_secs(self.service.limits().drain_s);
         let service = &self.service;
@@ -354,7 +354,7 @@ fn antenna_catalogue(configuration: &AntennasConfiguration) -> Result<AntennaCat
 /// Reads a table of the geoid's heights.
 ///
 /// # Errors
-/// The file cannot be read, or is no such table.
+/// The file cannot be read, or is not such a table.
 pub(crate) fn geoid_table(path: &Path) -> Result<Arc<Geoid>, AppError> {
     let read = File::open(path)
         .map_err(geoid::GeoidError::from)
@@ -397,7 +397,7 @@ fn network_requests(configuration: &BasesConfiguration) -> Result<Vec<NetworkReq
     configuration.networks.iter().map(request).collect()
 }
 
-/// `None` if no user is named.
+/// User and password; `None` if no user is named.
 fn credentials(user: &str, password: &str) -> Option<Credentials> {
     let credentials = Credentials { name: user.to_owned(), password: password.to_owned() };
     (!user.is_empty()).then_some(credentials)

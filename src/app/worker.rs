@@ -1,4 +1,4 @@
-//! A worker's desks: what runs jobs beside a service.
+//! The desks of a worker, which runs jobs beside a service.
 
 use crate::config::ServiceConfiguration;
 use crate::feeds::TimeLimits;
@@ -16,7 +16,7 @@ pub struct WorkerApp {
     worker: Worker,
 }
 
-/// Opens the database of a service, and starts to run its jobs. The configuration is the service's.
+/// Opens the database of a service, and starts to run its jobs. Needs the service's configuration.
 ///
 /// # Errors
 /// The database cannot be opened or is SQLite, the folder of jobs is not the service's, or the
@@ -42,8 +42,8 @@ pub async fn open_worker(
 }
 
 impl WorkerApp {
-    /// Works until `stop` is ready. Then it returns the running jobs to the queue. Returns false if
-    /// it had to end before.
+    /// Runs jobs until `stop` is ready, then returns the running jobs to the queue. Returns false
+    /// if a task ended before that.
     pub async fn work(mut self, stop: impl Future<Output = ()>) -> bool {
         let is_asked = tokio::select! {
             () = stop => true,

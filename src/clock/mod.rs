@@ -1,4 +1,4 @@
-//! The system clock. Nothing that computes asks it.
+//! The system clock. Computations do not use it.
 
 mod stopwatch;
 
@@ -21,11 +21,11 @@ pub(crate) fn unix_ms() -> i64 {
 /// The clock of a desk: that of the system, or one that is set.
 #[derive(Clone, Debug)]
 pub struct Clock {
-    /// A clock that is set.
+    /// The time of a clock for tests; `None` for the system's clock.
     set: Option<Arc<Hands>>,
 }
 
-/// A clock that is set.
+/// The time of a clock for tests.
 #[derive(Debug)]
 struct Hands {
     /// Its time (ms since 1970-01-01 UTC).
@@ -40,14 +40,14 @@ impl Clock {
         Self { set: None }
     }
 
-    /// A clock that stands at this time (ms since 1970-01-01 UTC) until it is set again.
+    /// A clock that shows this time (ms since 1970-01-01 UTC) until it is set again.
     pub fn at(unix_ms: i64) -> Self {
         let (unix_ms, elapsed_ms) = (AtomicI64::new(unix_ms), AtomicI64::new(0));
         Self { set: Some(Arc::new(Hands { unix_ms, elapsed_ms })) }
     }
 
-    /// Lets time pass on this clock and its clones until `unix_ms`. The system's clock is not
-    /// changed.
+    /// Lets time pass on this clock and its clones until `unix_ms`. Does nothing to the system's
+    /// clock.
     pub fn set(&self, unix_ms: i64) {
         if let Some(hands) = &self.set {
             let before = hands.unix_ms.swap(unix_ms, Ordering::Relaxed);
@@ -55,8 +55,8 @@ impl Clock {
         }
     }
 
-    /// Sets this clock and its clones to another time, while no time passes. The system's clock is
-    /// not changed.
+    /// Sets this clock and its clones to another time, without time passing. Does nothing to the
+    /// system's clock.
     pub fn step(&self, unix_ms: i64) {
         if let Some(hands) = &self.set {
             hands.unix_ms.store(unix_ms, Ordering::Relaxed);
@@ -68,8 +68,8 @@ impl Clock {
         self.set.as_ref().map_or_else(unix_ms, |hands| hands.unix_ms.load(Ordering::Relaxed))
     }
 
-    /// The time that has passed since some moment of this process (ms), whatever the clock is set
-    /// to.
+    /// The time that has passed since a fixed moment of this process (ms). Setting the clock does
+    /// not change it.
     pub fn elapsed_ms(&self) -> i64 {
         static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
         match &self.set {
@@ -84,7 +84,7 @@ impl Clock {
     }
 }
 
-/// The day, since 1970-01-01 UTC, of a time (ms since then).
+/// The day of a time (ms since 1970-01-01 UTC), as a number of days since 1970-01-01 UTC.
 pub(crate) const fn day_of(unix_ms: i64) -> i64 {
     unix_ms.div_euclid(MS_PER_DAY)
 }
@@ -104,7 +104,7 @@ pub(crate) fn utc(unix_ms: i64) -> String {
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}.{ms:03}Z")
 }
 
-/// 1970-01-01, in GPS time, which has no leap seconds, as the system clock.
+/// 1970-01-01 as a GPS time. The system clock has no leap seconds, and neither has GPS time.
 pub(crate) fn unix_epoch() -> GpsTime {
     const EPOCH: CivilTime =
         CivilTime { year: 1970, month: 1, day: 1, hour: 0, minute: 0, second: 0, nanosecond: 0 };

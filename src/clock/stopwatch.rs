@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Measures the processor time that the thread which started it has used since.
+/// Measures the processor time of the thread that started it.
 ///
-/// Time in which other threads had the processor does not count, so that the figure says the same
-/// on a busy machine as on a quiet one. It can't go to another thread, whose clock is another.
+/// Time in which other threads have the processor does not count, so a busy machine gives the same
+/// result as a quiet one. It cannot be sent to another thread, which has another clock.
 pub(crate) struct Stopwatch {
     started: Duration,
     thread: PhantomData<*const ()>,

@@ -1,5 +1,5 @@
-//! Takes over what other nodes have stored: told by notices of the database, and asked now and then
-//! in case one is lost.
+//! Reads from the store what other nodes have stored. Notices of the database trigger the reads;
+//! they also happen at an interval, because a notice can be lost.
 
 use std::time::Duration;
 
@@ -8,13 +8,13 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 use crate::aiding::{AidingDesk, AidingError};
 use crate::store::{Change, Notices, Store, StoreError};
 
-/// Time without a notice after which the store is asked.
+/// Time without a notice after which the store is read.
 const POLL: Duration = Duration::from_secs(2);
-/// Between two reads, for notices to come: they are taken over together.
+/// Shortest time between two reads, so that several notices cause one read.
 const GATHER: Duration = Duration::from_millis(50);
 const RETRY: Duration = Duration::from_secs(1);
 
-/// Takes over the changes of other nodes for ever.
+/// Follows the changes of other nodes for ever.
 pub(super) async fn follow(store: Store, aiding: AidingDesk) {
     loop {
         match listened(&store, &aiding).await {
@@ -42,8 +42,8 @@ async fn listened(store: &Store, aiding: &AidingDesk) -> Result<(), AidingError>
     }
 }
 
-/// Whether navigation data and bases may have changed, at the next notice or after some time, and
-/// not before `next`.
+/// Whether navigation data and bases may have changed. Returns at the next notice or after `POLL`,
+/// but not before `next`.
 async fn gathered(notices: &mut Notices, next: Instant) -> Result<[bool; 2], StoreError> {
     let mut changed = [false, false];
     let mut note = |change: Option<Change>| match change {

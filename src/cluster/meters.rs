@@ -1,4 +1,4 @@
-//! What the desk for the cluster counts.
+//! Meters of the desk for the cluster.
 
 use crate::meters::{Counter, Gauge};
 
@@ -11,8 +11,8 @@ pub(crate) struct ClusterMeters {
     pub(crate) leads: Gauge,
     /// Leases of other nodes that this one has ended.
     pub(crate) ended_leases: Counter,
-    /// Requests that this node has sent on to another.
+    /// Requests that this node has forwarded to another.
     pub(crate) forwarded: Counter,
-    /// Of these, those that the other node has not answered.
+    /// Forwarded requests that the other node has not answered.
     pub(crate) unanswered: Counter,
 }

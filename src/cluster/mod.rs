@@ -1,10 +1,10 @@
-//! The cluster as a node sees it: who is alive, who leads, and what the others change.
+//! The cluster as a node sees it: which nodes are alive, which leads, and what the others change.
 //!
-//! Several nodes share a database on Postgres. A session belongs to one of them. What must have one
-//! writer, such as the bases, is written by the node that leads. The rules are in the store
-//! (`store::nodes`); this desk asks it each second, ends the leases of nodes that no longer renew
-//! them, takes the lead from a leader that is not alive, and takes over what other nodes have
-//! stored. Nothing that is committed depends on how often it does so.
+//! Several nodes share a database on Postgres. A session belongs to one of them. Data that must
+//! have one writer, such as the bases, are written by the leader. The rules are in the store
+//! (`store::nodes`). Each second this desk reads the nodes, ends the leases of nodes that no longer
+//! renew them, and takes the lead if the leader is not alive. It also reads what other nodes have
+//! stored. The correctness of commits does not depend on how often it does this.
 
 mod following;
 mod meters;
@@ -22,7 +22,7 @@ use crate::store::{CommitterState, NODE_LEASE, NodeRow, Store, StoreError};
 
 pub(crate) use meters::ClusterMeters;
 
-/// Between questions to the store.
+/// Interval at which the nodes are read from the store.
 const INTERVAL: Duration = Duration::from_secs(1);
 
 /// The nodes that are alive.
@@ -47,8 +47,8 @@ struct Desk {
 }
 
 impl Cluster {
-    /// Opens the desk of a node; `None` for a service without a cluster. The first node leads when
-    /// this returns.
+    /// Opens the desk of a node; `None` for a service without a cluster. When it returns, the first
+    /// node of a cluster leads.
     ///
     /// # Errors
     /// The store fails.
@@ -75,7 +75,7 @@ impl Cluster {
         *self.0.leads.borrow()
     }
 
-    /// Waits until this node leads; then it leads until it ends.
+    /// Waits until this node leads. It then leads until it ends.
     pub(crate) async fn wait_to_lead(&self) {
         // Err: the desk no longer exists.
         self.0.leads.subscribe().wait_for(|leads| *leads).await.ok();
@@ -92,7 +92,7 @@ impl Cluster {
         self.0.members.borrow().nodes.clone()
     }
 
-    /// The live node of this fence, if it is another one.
+    /// The live node with this fence, if it is another node.
     pub(crate) fn other(&self, fence: i64) -> Option<NodeRow> {
         let members = self.0.members.borrow();
         let is_it = |node: &&NodeRow| node.fence == fence && fence != self.0.own;
@@ -107,7 +107,7 @@ impl Cluster {
         let owner = self.0.store.owner_of_session(session).await?;
         let Some(fence) = owner.filter(|fence| *fence != self.0.own) else { return Ok(None) };
         if self.other(fence).is_none() {
-            // It may have begun since the last look.
+            // The owner may have started since the last read.
             let members = self.0.read().await?;
             self.0.members.send_replace(members);
         }
@@ -119,7 +119,7 @@ impl Cluster {
         self.0.members.borrow().nodes.iter().find(|node| node.fence == self.0.own).cloned()
     }
 
-    /// Whether a request comes from another live node: whether it brings that node's secret.
+    /// Whether a request comes from another live node: `secret` must be that node's secret.
     pub(crate) fn is_of_node(&self, fence: i64, secret: &str) -> bool {
         self.other(fence).is_some_and(|node| is_same(node.secret.as_bytes(), secret.as_bytes()))
     }
@@ -132,7 +132,7 @@ impl Cluster {
         members.wait_for(is_gone).await.ok();
     }
 
-    /// What this desk counts.
+    /// Meters of this desk.
     pub(crate) fn meters(&self) -> &ClusterMeters {
         &self.0.meters
     }
@@ -150,7 +150,7 @@ impl Cluster {
     }
 }
 
-/// Compares secrets in a time that does not depend on them.
+/// Compares secrets in a time that does not depend on their content.
 fn is_same(one: &[u8], other: &[u8]) -> bool {
     let differs = |(one, other): (&u8, &u8)| one ^ other;
     one.len() == other.len() && one.iter().zip(other).map(differs).fold(0, |all, d| all | d) == 0
@@ -173,8 +173,8 @@ async fn look_each_second(desk: Arc<Desk>, aiding: AidingDesk) {
 }
 
 impl Desk {
-    /// Reads who is alive and who leads. Before, it ends the leases of others whose time is over
-    /// (`ends`), and afterwards it takes the lead from a node that is not alive.
+    /// Reads which nodes are alive and which one leads. With `ends`, it first ends the leases of
+    /// other nodes that have expired. Afterwards it takes the lead from a node that is not alive.
     async fn look(&self, aiding: &AidingDesk, ends: bool) -> Result<(), AidingError> {
         if ends {
             for node in self.store.end_leases().await? {
@@ -188,7 +188,7 @@ impl Desk {
             members = self.read().await?;
         }
         if members.leader == self.own && !self.store.leads() {
-            // What the leader before has stored must be known first.
+            // Everything that the former leader has stored must be known first.
             aiding.follow().await?;
             self.store.lead();
             self.leads.send_replace(true);

@@ -1,4 +1,4 @@
-//! Public ids: a prefix that names the kind, and 122 random bits, so that nobody guesses another's.
+//! Public ids: a prefix for the kind, and 122 random bits, so that nobody can guess an id.
 
 use std::fmt;
 use std::hash::{Hash, Hasher};
@@ -7,13 +7,13 @@ use std::sync::Arc;
 
 use uuid::Uuid;
 
-/// What an [`Id`] is the id of.
+/// The kind of object that an [`Id`] identifies.
 pub trait Kind {
-    /// What its ids begin with.
+    /// Prefix of its ids.
     const PREFIX: &str;
 }
 
-/// The id of a `K`, such as `ses_` and 32 hexadecimal digits. Ids of two kinds do not mix.
+/// The id of a `K`, such as `ses_` and 32 hexadecimal digits. Ids of two kinds are different types.
 pub struct Id<K> {
     text: Arc<str>,
     kind: PhantomData<fn() -> K>,
@@ -44,7 +44,7 @@ impl<K> Id<K> {
     }
 }
 
-// Derived implementations would ask the same of `K`.
+// Derived implementations would require the same traits of `K`.
 
 impl<K> Clone for Id<K> {
     fn clone(&self) -> Self {

@@ -1,7 +1,7 @@
-//! Attempts with a wrong key, counted by the address that they come from.
+//! Attempts with a wrong key, counted by the address of the sender.
 //!
-//! An address has [`BURST`] attempts at once, and another each [`INTERVAL`]. A right key is never
-//! refused because of others' attempts: many devices may be behind one address.
+//! An address has [`BURST`] attempts at once, and then one in each [`INTERVAL`]. A right key is
+//! never refused because of the attempts of others, since many devices may share one address.
 
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
@@ -10,12 +10,12 @@ use std::time::{Duration, Instant};
 
 const BURST: u32 = 10;
 const INTERVAL: Duration = Duration::from_secs(1);
-/// Addresses that are counted at the same time; the others share one count.
+/// Most addresses that are counted at the same time. All others share one count.
 const ADDRESSES: usize = 4096;
-/// The count of all others.
+/// The key of the count that all other addresses share.
 const OTHERS: IpAddr = IpAddr::V6(Ipv6Addr::UNSPECIFIED);
 
-/// The attempts of each address: the time until which its attempts are spent.
+/// For each address, the time until which its attempts are used up.
 #[derive(Debug, Default)]
 pub(super) struct Attempts(Mutex<HashMap<IpAddr, Instant>>);
 
@@ -23,7 +23,7 @@ impl Attempts {
     /// Counts an attempt from an address.
     ///
     /// # Errors
-    /// The delay before the next one that is counted.
+    /// The delay before the next attempt is allowed.
     pub(super) fn count(&self, address: IpAddr, now: Instant) -> Result<(), Duration> {
         let mut spent = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let mut address = network(address);
@@ -45,7 +45,7 @@ impl Attempts {
     }
 }
 
-/// The network of an address: a host may use all addresses of its 64 bits of IPv6.
+/// The network of an address: a host may use all addresses of its IPv6 prefix of 64 bits.
 fn network(address: IpAddr) -> IpAddr {
     match address {
         IpAddr::V6(v6) => match v6.to_ipv4_mapped() {
@@ -92,7 +92,7 @@ mod tests {
         assert_eq!(network(v6("::ffff:192.0.2.1")), v6("192.0.2.1"));
     }
 
-    /// Beyond the limit of addresses the memory does not grow, and those that are spent stay so.
+    /// Beyond the limit of addresses the memory does not grow, and used-up addresses stay used up.
     #[test]
     fn many_addresses_take_bounded_memory() {
         let (attempts, now) = (Attempts::default(), Instant::now());

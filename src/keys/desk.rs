@@ -1,4 +1,4 @@
-//! The keys of a service: in memory for calls, in the store for changes.
+//! The keys of a service: calls use them in memory, changes go to the store.
 
 use std::fmt;
 use std::net::IpAddr;
@@ -29,12 +29,12 @@ struct Desk {
     registry: KeyRegistry,
     known: Arc<Known>,
     attempts: Attempts,
-    /// Stops the upkeep, also when the desk is dropped.
+    /// Stops the upkeep. It also stops when the desk is dropped.
     stop: watch::Sender<bool>,
     upkeep: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// The token that shows that a page of this service makes a change.
+/// The token that proves that a page of this service makes a change.
 #[derive(Clone, Copy, Debug)]
 pub enum CsrfToken<'a> {
     /// The request changes nothing.
@@ -44,7 +44,7 @@ pub enum CsrfToken<'a> {
 }
 
 impl Keys {
-    /// Reads all keys, and keeps up with their changes until it is closed or dropped.
+    /// Reads all keys, and follows their changes until it is closed or dropped.
     ///
     /// # Errors
     /// The store fails.
@@ -71,10 +71,10 @@ impl Keys {
         self.0.known.register.is_closed()
     }
 
-    /// Who sends a request with this key, or without one, from this address.
+    /// The sender of a request with this key, or without one, from this address.
     ///
     /// # Errors
-    /// The key is missing or not in force, or too many wrong ones have come from this address.
+    /// The key is missing or not in force, or this address has sent too many wrong keys.
     pub fn admit(&self, key: Option<&str>, peer: Option<IpAddr>) -> Result<Pass, KeyError> {
         let error = match self.0.known.register.find(key, self.0.clock.unix_ms()) {
             Ok(pass) => return Ok(pass),
@@ -89,7 +89,7 @@ impl Keys {
         Err(error)
     }
 
-    /// Who has the key of this id, empty where nobody needs one.
+    /// The holder of the key with this id; the id is empty if no key is needed.
     ///
     /// # Errors
     /// No key has this id, or it is not in force.
@@ -108,7 +108,7 @@ impl Keys {
         self.0.known.register.of_id(id).is_some()
     }
 
-    /// Reads what other nodes have changed until now.
+    /// Reads what others have changed until now.
     ///
     /// # Errors
     /// The store fails.
@@ -116,15 +116,15 @@ impl Keys {
         Ok(self.0.known.catch_up().await?)
     }
 
-    /// The key of this text, whether it is in force or not; `None` if it never existed.
+    /// The holder of the key with this text, in force or not; `None` if it never existed.
     pub(crate) fn known(&self, key: &str) -> Option<Pass> {
         self.0.known.register.known(key)
     }
 
-    /// Who sends a request with this cookie. A change brings the token of the sign-in, too.
+    /// The sender of a request with this cookie. For a change, the sign-in's token is also checked.
     ///
     /// # Errors
-    /// The sign-in has ended, or the token is not its own.
+    /// The sign-in has ended, or the token does not belong to it.
     pub fn admit_cookie(&self, cookie: &str, token: CsrfToken<'_>) -> Result<Pass, KeyError> {
         let register = &self.0.known.register;
         if !register.is_closed() {
@@ -138,7 +138,7 @@ impl Keys {
         }
     }
 
-    /// Signs a browser in by a key; returns the value of its cookie, too.
+    /// Signs a browser in by a key. Also returns the value of its cookie.
     ///
     /// # Errors
     /// There is no key, the system has no random bits, or the store fails.
@@ -163,7 +163,7 @@ impl Keys {
     /// Signs out.
     ///
     /// # Errors
-    /// The store fails: other nodes take the cookie still.
+    /// The store fails: other nodes still accept the cookie.
     pub async fn sign_out(&self, cookie: &str) -> Result<(), KeyError> {
         let Some(hash) = secret::hash(cookie) else { return Ok(()) };
         self.0.known.sign_ins.end(&hash);
@@ -173,7 +173,7 @@ impl Keys {
     /// Creates a key, in force at once, as an act of `author`.
     ///
     /// # Errors
-    /// It has no right, its label is too long, there are as many as allowed, or the store fails.
+    /// It has no right, its label is too long, the limit of keys is reached, or the store fails.
     pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
         let created = self.0.registry.create(new, author).await?;
         self.0.known.refresh().await?;
@@ -216,12 +216,12 @@ impl Keys {
         Ok(revoked)
     }
 
-    /// Notes the last uses and stops keeping up with changes. When this returns the desk no longer
-    /// uses the store by itself.
+    /// Stores the last uses and stops following changes. After this the desk no longer uses the
+    /// store on its own.
     pub(crate) async fn close(&self) {
         self.0.stop.send_replace(true);
         if let Some(upkeep) = self.0.upkeep.lock().await.take() {
-            // Err: it panicked, and is over, too.
+            // Err: it panicked, so it has ended, too.
             upkeep.await.ok();
         }
     }

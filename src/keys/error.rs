@@ -26,10 +26,10 @@ pub enum KeyError {
         /// Id of the key.
         id: String,
     },
-    /// The cookie is not one of a sign-in, or no longer.
+    /// The cookie does not belong to a sign-in, or its sign-in has ended.
     #[error("the sign-in of this browser has ended")]
     SignInEnded,
-    /// A change by a cookie does not bring the token of its sign-in.
+    /// A change by a cookie does not have the token of its sign-in.
     #[error("the change does not bring the token of the sign-in")]
     CsrfTokenInvalid,
     /// Too many requests from one address had a wrong key.
@@ -50,7 +50,7 @@ pub enum KeyError {
         /// The limit.
         limit: i64,
     },
-    /// A name is not that of a right.
+    /// A name is not the name of a right.
     #[error("{name:?} is not a right; the rights are device, read, operate, admin")]
     UnknownRight {
         /// Position of the name, from 0.

@@ -1,6 +1,6 @@
-//! What is known of keys and sign-ins, and how it follows the store: changes are read at an
-//! interval, after an own change, and when a request brings what another node may have made just
-//! now.
+//! The known keys and sign-ins, and how they follow the store. Changes are read at an interval,
+//! after a change by this service, and when a request has a key that another node may have made
+//! just now.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -13,7 +13,7 @@ use crate::store::{Store, StoreError};
 use super::register::Register;
 use super::sign_ins::SignIns;
 
-/// Between the beginnings of two reads that requests ask for: those that come meanwhile share one.
+/// Shortest time between two reads for requests. Requests in between share one read.
 const PAUSE: Duration = Duration::from_millis(25);
 
 /// Keys and sign-ins of the store.
@@ -23,19 +23,19 @@ pub(super) struct Known {
     pub(super) sign_ins: SignIns,
     /// Number of reads that have begun.
     begun: AtomicU64,
-    /// Locked while the store is read, so that changes arrive in order.
+    /// Locked during a read of the store, so that changes are taken in order.
     reading: Mutex<LastRead>,
 }
 
 /// The last read.
 struct LastRead {
     begun_at: Instant,
-    /// Number of the last one that has not failed.
+    /// Number of the last read that has succeeded.
     succeeded: u64,
 }
 
 impl Known {
-    /// Nothing yet.
+    /// No keys and sign-ins yet.
     pub(super) fn new(store: Store) -> Self {
         let reading = LastRead { begun_at: Instant::now(), succeeded: 0 };
         Self {
@@ -47,7 +47,7 @@ impl Known {
         }
     }
 
-    /// Reads what was changed since the last time.
+    /// Reads the changes since the last read.
     ///
     /// # Errors
     /// The store fails.
@@ -56,8 +56,9 @@ impl Known {
         self.read(&mut last).await
     }
 
-    /// The same for a request: what was committed when it came is known when this returns. Requests
-    /// that come at the same time share a read, so that they cost the database little.
+    /// Like [`Self::refresh`], for a request. When it returns, everything is known that was
+    /// committed before the call. Requests at the same time share a read, so they cost the database
+    /// little.
     ///
     /// # Errors
     /// The store fails.
@@ -75,7 +76,7 @@ impl Known {
         last.begun_at = Instant::now();
         let number = self.begun.fetch_add(1, Ordering::AcqRel) + 1;
         loop {
-            // Before the keys, so that the keys of these sign-ins are among those that are read.
+            // Read before the keys, so that the keys of these sign-ins are among the keys read.
             let sign_ins = self.store.changed_sign_ins(self.sign_ins.changed()).await?;
             self.read_keys().await?;
             if sign_ins.is_empty() {

@@ -1,14 +1,14 @@
-//! API keys: who may call what.
+//! API keys: which calls a sender may make.
 //!
-//! A key has an id, which is public, a secret, which is shown once, rights, and an end: it expires
-//! or is revoked. The database has the secret's hash. [`Keys`] has all keys in memory, so that a
-//! call costs a hash and a look into a table, and reads changed ones every 0.4 s: what an operator
-//! changes by the command line is in force within a second, in open streams too.
+//! A key has an id, which is public; a secret, which is shown once; rights; and an end: it expires
+//! or is revoked. The database contains the secret's hash. [`Keys`] has all keys in memory, so that
+//! a call costs one hash and one lookup. It reads changed keys every 0.4 s. So a change by the
+//! command line is in force within a second, even for open streams.
 //!
-//! A browser exchanges a key for a cookie ([`SignIn`]). Sign-ins are read as keys are.
+//! A browser exchanges a key for a cookie ([`SignIn`]). Sign-ins are read in the same way as keys.
 //!
-//! As long as the database has no key, everybody who reaches the service has all rights. Revoked
-//! and expired keys count: their end opens nothing.
+//! While the database has no key, everybody who reaches the service has all rights. Revoked and
+//! expired keys count as keys: their end does not open the service again.
 
 mod attempts;
 mod desk;

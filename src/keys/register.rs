@@ -12,18 +12,18 @@ use crate::tenant::Tenant;
 
 use super::{KeyError, Rights, secret};
 
-/// Of a key that does not expire.
+/// Expiry of a key that does not expire.
 const NEVER: i64 = i64::MAX;
 
-/// All keys, and what those have who bring none.
+/// All keys, and the rights of requests without a key.
 #[derive(Debug)]
 pub(super) struct Register {
     holders: RwLock<Holders>,
-    /// Number of the last change that is here.
+    /// Number of the last change that was read.
     changed: AtomicI64,
-    /// Whether requests need a key. Never set back.
+    /// Whether requests need a key. It is never set back.
     is_closed: AtomicBool,
-    /// Who brings no key, while none is needed.
+    /// The holder for requests without a key, while none is needed.
     anybody: Arc<Holder>,
 }
 
@@ -38,18 +38,18 @@ struct Holders {
 
 /// The holder of a key.
 struct Holder {
-    /// Id of the key; empty for who needs none.
+    /// Id of the key; empty if no key is needed.
     id: Arc<str>,
     tenant: Tenant,
     rights: Rights,
     expires_unix_ms: AtomicI64,
     state: watch::Sender<State>,
     last_used_unix_ms: AtomicI64,
-    /// The last use that is stored.
+    /// The time of the last use that is stored.
     noted_unix_ms: AtomicI64,
 }
 
-/// Whether a key is in force. It changes once.
+/// Whether a key is in force. It changes only once.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     InForce,
@@ -57,17 +57,17 @@ enum State {
     Revoked,
 }
 
-/// Who sends a request. All clones are of the same key.
+/// The sender of a request. All clones stand for the same key.
 #[derive(Clone)]
 pub struct Pass(Arc<Holder>);
 
 impl Register {
-    /// Without keys: everybody is the operator.
+    /// A register without keys, in which everybody is the operator.
     pub(super) fn new() -> Self {
         Self::of_tenant(&Tenant::operator())
     }
 
-    /// Without keys: everybody is of this tenant.
+    /// A register without keys, in which everybody belongs to this tenant.
     pub(super) fn of_tenant(tenant: &Tenant) -> Self {
         let anybody = Holder::new("", tenant, Rights::ALL, NEVER);
         Self {
@@ -78,7 +78,7 @@ impl Register {
         }
     }
 
-    /// Number of the last change that is here.
+    /// Number of the last change that was read.
     pub(super) fn changed(&self) -> i64 {
         self.changed.load(Ordering::Acquire)
     }
@@ -88,14 +88,14 @@ impl Register {
         self.is_closed.load(Ordering::Acquire)
     }
 
-    /// From now on requests need a key.
+    /// Makes requests need a key from now on.
     pub(super) fn close(&self) {
         if !self.is_closed.swap(true, Ordering::AcqRel) {
             self.anybody.end(State::Expired);
         }
     }
 
-    /// Takes changed keys. They may come twice, or an earlier change after a later one.
+    /// Adds changed keys. A change may come twice, and an earlier change after a later one.
     pub(super) fn take(&self, rows: Vec<KeyRow>) {
         let Some(last) = rows.iter().map(|row| row.changed).max() else { return };
         let mut holders = self.holders.write().unwrap_or_else(PoisonError::into_inner);
@@ -121,7 +121,7 @@ impl Register {
         self.close();
     }
 
-    /// Who brings this text, or none.
+    /// The sender with this key, or without one.
     pub(super) fn find(&self, presented: Option<&str>, unix_ms: i64) -> Result<Pass, KeyError> {
         if !self.is_closed() {
             return Ok(Pass(self.anybody.clone()));
@@ -132,13 +132,13 @@ impl Register {
         Ok(pass)
     }
 
-    /// Who brings this text, if it is a key, whether that is in force or not.
+    /// The holder of this key, in force or not; `None` if the text is not a key.
     pub(super) fn known(&self, presented: &str) -> Option<Pass> {
         let hash = secret::hash(presented)?;
         self.read().by_hash.get(&hash).cloned().map(Pass)
     }
 
-    /// Who has the key of this id, whether that is in force or not.
+    /// The holder of the key with this id, in force or not.
     pub(super) fn of_id(&self, id: &str) -> Option<Pass> {
         self.read().by_id.get(id).cloned().map(Pass)
     }
@@ -155,7 +155,7 @@ impl Register {
         holders.filter_map(|holder| Some((holder.id.to_string(), holder.unnoted()?))).collect()
     }
 
-    /// Notes that uses are stored.
+    /// Notes that these uses are stored.
     pub(super) fn note(&self, uses: &[(String, i64)]) {
         let read = self.read();
         for (id, unix_ms) in uses {
@@ -183,7 +183,7 @@ impl Holder {
         }
     }
 
-    /// Ends the key, unless it has ended.
+    /// Ends the key, unless it has already ended.
     fn end(&self, state: State) {
         self.state.send_if_modified(|present| {
             let is_in_force = *present == State::InForce;
@@ -206,7 +206,7 @@ impl Holder {
         (self.noted_unix_ms.load(Ordering::Acquire) < used).then_some(used)
     }
 
-    /// Why the key is refused in this state.
+    /// The refusal of the key in this state, if there is one.
     fn refused(&self, state: State) -> Result<(), KeyError> {
         let id = self.id.to_string();
         match state {
@@ -219,17 +219,17 @@ impl Holder {
 }
 
 impl Pass {
-    /// Id of the key; `None` where none is needed.
+    /// Id of the key; `None` if no key is needed.
     pub fn key(&self) -> Option<&str> {
         Some(&*self.0.id).filter(|id| !id.is_empty())
     }
 
-    /// For whom the request is.
+    /// The tenant for which the request is made.
     pub fn tenant(&self) -> &Tenant {
         &self.0.tenant
     }
 
-    /// What the key allows.
+    /// The rights of the key.
     pub fn rights(&self) -> Rights {
         self.0.rights
     }
@@ -237,16 +237,16 @@ impl Pass {
     /// Checks that the key is still in force.
     ///
     /// # Errors
-    /// It was revoked or has expired, or requests need a key by now.
+    /// It was revoked or has expired; or it was a request without a key, and keys are needed now.
     pub(crate) fn check(&self) -> Result<(), KeyError> {
         let state = *self.0.state.borrow();
         self.0.refused(state)
     }
 
-    /// The same at this time (ms since 1970-01-01 UTC).
+    /// Like [`Self::check`], at this time (ms since 1970-01-01 UTC).
     ///
     /// # Errors
-    /// The same.
+    /// As for [`Self::check`].
     pub(super) fn check_at(&self, unix_ms: i64) -> Result<(), KeyError> {
         self.0.expire(unix_ms);
         self.check()?;
@@ -304,7 +304,7 @@ mod tests {
         register.find(key, unix_ms).unwrap_err().code()
     }
 
-    /// The first key ends what was open without one.
+    /// The first key ends streams and watches that were opened without a key.
     #[test]
     fn from_the_first_key_on_a_key_is_needed() {
         let register = Register::new();
@@ -323,7 +323,7 @@ mod tests {
         assert_eq!((pass.key(), pass.rights()), (Some("key_1"), Rights::of(&[Right::Device])));
     }
 
-    /// On the millisecond for calls, at the next look for those who wait.
+    /// Calls see the end at the millisecond, waiting streams at the next upkeep.
     #[test]
     fn a_key_expires() {
         let (register, secret) = (Register::new(), Secret::random().unwrap());
@@ -338,7 +338,7 @@ mod tests {
         assert_eq!(refused(&register, None, 1000), Code::KeyRequired, "an ended key counts");
     }
 
-    /// Whatever the order in which changes arrive.
+    /// A revocation stays, in whatever order changes arrive.
     #[test]
     fn a_revocation_stays() {
         let (register, secret) = (Register::new(), Secret::random().unwrap());

@@ -1,5 +1,5 @@
-//! Changes of keys in the store. The service and the command line change them here, also beside
-//! each other.
+//! Changes of keys in the store. The service and the command line make them here, even at the same
+//! time.
 
 use crate::clock::Clock;
 use crate::store::{Act, Author, KeyRow, NewKeyRow, Page, Store};
@@ -7,21 +7,21 @@ use crate::tenant::Tenant;
 
 use super::{KeyError, KeyId, Rights, Secret, secret};
 
-/// Keys in force of one database. Each service has them in its memory.
+/// Most keys in force in one database. Each service has them in memory.
 const KEYS: i64 = 65_536;
-/// Characters of a label.
+/// Most characters of a label.
 const LABEL: usize = 200;
 
 /// A key to create.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewKey {
-    /// To whom it belongs.
+    /// Tenant that owns the key.
     pub tenant: Tenant,
-    /// What it allows.
+    /// Its rights.
     pub rights: Rights,
     /// A name for people.
     pub label: String,
-    /// For how long it is in force (ms); `None` until it is revoked.
+    /// Time for which it is in force (ms); `None` until it is revoked.
     pub lifetime_ms: Option<i64>,
 }
 
@@ -30,9 +30,9 @@ pub struct NewKey {
 pub struct KeyInfo {
     /// Public id.
     pub id: String,
-    /// To whom it belongs.
+    /// Tenant that owns the key.
     pub tenant: Tenant,
-    /// What it allows.
+    /// Its rights.
     pub rights: Rights,
     /// A name for people.
     pub label: String,
@@ -60,7 +60,7 @@ pub struct Created {
 pub struct KeyRegistry {
     store: Store,
     clock: Clock,
-    /// Keys that may be in force.
+    /// Most keys that may be in force.
     most: i64,
 }
 
@@ -73,13 +73,13 @@ impl KeyRegistry {
     /// Creates a key, as an act of `author`.
     ///
     /// # Errors
-    /// It has no right, its label is too long, there are as many as allowed, or the store fails.
+    /// It has no right, its label is too long, the limit of keys is reached, or the store fails.
     pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
         self.insert(new, None, author).await
     }
 
-    /// Creates a key that takes the place of another, with its tenant, rights and label. The other
-    /// one expires after `overlap_ms`, or when it would anyway.
+    /// Creates a key that replaces another one, with the same tenant, rights and label. The other
+    /// key expires after `overlap_ms`, or at its own expiry if that is sooner.
     ///
     /// # Errors
     /// No key has this id, it has ended, or the store fails.
@@ -164,8 +164,8 @@ impl KeyRegistry {
         page.try_map(|row| Ok(info(row)))
     }
 
-    /// Revokes a key of a tenant, or of any, as an act of `author`. One that is revoked stays as it
-    /// is.
+    /// Revokes a key of a tenant, or of any tenant, as an act of `author`. A revoked key stays
+    /// unchanged.
     ///
     /// # Errors
     /// No key of the tenant has this id, or the store fails.
@@ -183,7 +183,7 @@ impl KeyRegistry {
     }
 }
 
-/// What the audit log says of a new key.
+/// A new key as text for the audit log.
 fn described(new: &NewKeyRow, replaces: Option<&str>) -> String {
     let end = match new.expires_unix_ms {
         Some(ms) => format!("for {} s", (ms - new.created_unix_ms) / 1000),
@@ -248,7 +248,7 @@ mod tests {
         keys.rotate(&second.id, None, 0, &author()).await.unwrap();
     }
 
-    /// The replaced key ends after the overlap, and not later than it would anyway.
+    /// The replaced key ends after the overlap, or at its own expiry if that is sooner.
     #[tokio::test]
     async fn a_rotated_key_ends_after_the_overlap() {
         let folder = tempfile::tempdir().unwrap();

@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::KeyError;
 
-/// What a key allows. The table of calls says which calls need it.
+/// A right of a key. The table of calls states which calls need it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Right {
     /// Sends observations: what a receiver needs for its own sessions.
@@ -52,10 +52,10 @@ impl Rights {
         Self(bits)
     }
 
-    /// The rights of these names.
+    /// The rights with these names.
     ///
     /// # Errors
-    /// A name is not that of a right, or the list is empty.
+    /// A name is not the name of a right, or the list is empty.
     pub fn named(names: &[impl AsRef<str>]) -> Result<Self, KeyError> {
         let mut rights = Self::NONE;
         for (index, name) in names.iter().map(AsRef::as_ref).enumerate() {

@@ -1,9 +1,9 @@
 //! Secrets of keys: 256 random bits, and their hash.
 //!
-//! The hash is SHA-256, once and without salt. A slow hash, as for passwords, protects what people
-//! choose, because few guesses cover it. Nobody guesses 256 random bits, whatever a guess costs, so
-//! a slow hash would only slow each call down; and equal secrets, which a salt would hide, do not
-//! occur.
+//! The hash is SHA-256, once and without salt. A slow hash protects passwords, because people
+//! choose them and few guesses find them. Nobody guesses 256 random bits, however cheap a guess is,
+//! so a slow hash would only slow each call down. A salt would hide equal secrets, but equal
+//! secrets do not occur.
 
 use std::fmt;
 use std::fmt::Write;
@@ -12,7 +12,7 @@ use sha2::{Digest, Sha256};
 
 use super::KeyError;
 
-/// What each secret begins with, so that people and scanners recognise one.
+/// Prefix of each secret, so that people and scanners recognise one.
 const PREFIX: &str = "gfx_";
 const BYTES: usize = 32;
 /// Hexadecimal digits after the prefix.
@@ -33,8 +33,8 @@ impl Secret {
         Ok(Self::of(&bytes))
     }
 
-    /// The secret for a purpose that belongs to a secret text: whoever has the text can compute it,
-    /// and it does not tell the text.
+    /// A secret for a purpose, derived from a secret text. Whoever has the text can compute it, but
+    /// it does not reveal the text.
     pub(super) fn derived(purpose: &str, text: &str) -> Self {
         Self::of(&Sha256::digest(format!("{purpose} {text}")).into())
     }
@@ -53,14 +53,14 @@ impl Secret {
     }
 }
 
-/// Without the secret, so that no log has it.
+/// Omits the secret, so that no log contains it.
 impl fmt::Debug for Secret {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Secret")
     }
 }
 
-/// The hash of a secret; `None` if the text does not have the form of one.
+/// The hash of a secret; `None` if the text does not have the form of a secret.
 pub(super) fn hash(text: &str) -> Option<[u8; 32]> {
     let digits = text.strip_prefix(PREFIX)?;
     let is_lower_hex = |byte: u8| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
@@ -81,7 +81,7 @@ mod tests {
         assert!(!format!("{secret:?}").contains(&secret.text()[4..12]));
     }
 
-    /// By `printf gfx_00…00 | sha256sum`.
+    /// The value is from `printf gfx_00…00 | sha256sum`.
     #[test]
     fn the_hash_is_that_of_the_standard() {
         let text = format!("gfx_{}", "0".repeat(64));
@@ -91,7 +91,7 @@ mod tests {
         assert_eq!(digits, expected);
     }
 
-    /// By `printf 'csrf gfx_00…00' | sha256sum`.
+    /// The value is from `printf 'csrf gfx_00…00' | sha256sum`.
     #[test]
     fn a_derived_secret_is_a_hash_of_purpose_and_text() {
         let text = format!("gfx_{}", "0".repeat(64));

@@ -1,4 +1,4 @@
-//! Sign-ins of browsers: a cookie in place of a key, so that no page has the key in its memory.
+//! Sign-ins of browsers: a cookie replaces the key, so that no page has the key in its memory.
 //!
 //! They are in the store, by the hash of their cookies, and in memory at each node of a cluster.
 
@@ -14,19 +14,19 @@ use super::Pass;
 use super::register::Register;
 use super::secret::{Secret, hash};
 
-/// Sign-ins at the same time. Another one ends the oldest of the tenant that has the most.
+/// Most sign-ins at the same time. Beyond it, the tenant with the most loses its oldest one.
 const SIGN_INS: usize = 1024;
-/// How long a sign-in lasts (ms): a working day.
+/// Duration of a sign-in (ms): a working day.
 pub(super) const LIFETIME_MS: i64 = 12 * 3_600_000;
-/// For what the token is derived from the cookie.
+/// The purpose for which the token is derived from the cookie.
 const CSRF: &str = "csrf";
 
 /// A browser that is signed in.
 #[derive(Clone)]
 pub struct SignIn {
-    /// Whose key it was.
+    /// The holder of the key with which the browser signed in.
     pub pass: Pass,
-    /// What a page of this service knows and others do not; it comes with each change.
+    /// Token that only pages of this service know. Each change must have it.
     pub csrf_token: String,
     /// When it ends (ms since 1970-01-01 UTC), unless the key ends before.
     pub expires_unix_ms: i64,
@@ -36,7 +36,7 @@ pub struct SignIn {
 #[derive(Debug, Default)]
 pub(super) struct SignIns {
     by_cookie: Mutex<HashMap<[u8; 32], InForce>>,
-    /// Number of the last change that is here.
+    /// Number of the last change that was read.
     changed: AtomicI64,
 }
 
@@ -48,12 +48,12 @@ struct InForce {
 }
 
 impl SignIns {
-    /// Number of the last change that is here.
+    /// Number of the last change that was read.
     pub(super) fn changed(&self) -> i64 {
         self.changed.load(Ordering::Acquire)
     }
 
-    /// Takes changed sign-ins, in the order of their changes. Their keys must be known.
+    /// Adds changed sign-ins, in the order of their changes. Their keys must be known.
     pub(super) fn take(&self, rows: Vec<SignInRow>, register: &Register) {
         let mut sign_ins = self.lock();
         for row in rows {
@@ -82,7 +82,7 @@ impl SignIns {
         })
     }
 
-    /// Makes room for another sign-in of a tenant; returns the hashes of the cookies that it ends.
+    /// Makes room for another sign-in of a tenant. Returns the hashes of the cookies that it ends.
     pub(super) fn make_room(&self, tenant: &Tenant, unix_ms: i64) -> Vec<[u8; 32]> {
         let mut sign_ins = self.lock();
         sign_ins.retain(|_, sign_in| sign_in.is_at(unix_ms));
@@ -112,13 +112,13 @@ impl InForce {
     }
 }
 
-/// The token of a cookie's sign-in: every node computes the same.
+/// The token of a cookie's sign-in. Every node computes the same one.
 pub(super) fn csrf_token(cookie: &str) -> String {
     Secret::derived(CSRF, cookie).text().to_owned()
 }
 
-/// The oldest sign-in of the tenant that has the most, one more of `tenant` included; nobody signs
-/// others out by signing in often.
+/// The oldest sign-in of the tenant with the most, where one more of `tenant` is counted. So nobody
+/// can sign out other tenants by signing in often.
 fn oldest_of_most(sign_ins: &HashMap<[u8; 32], InForce>, tenant: &Tenant) -> Option<[u8; 32]> {
     let mut counts = HashMap::from([(tenant, 1_usize)]);
     for sign_in in sign_ins.values() {
@@ -129,7 +129,7 @@ fn oldest_of_most(sign_ins: &HashMap<[u8; 32], InForce>, tenant: &Tenant) -> Opt
     of_most.min_by_key(|(_, other)| other.expires_unix_ms).map(|(hash, _)| *hash)
 }
 
-/// Without the token, so that no log has it.
+/// Omits the token, so that no log contains it.
 impl fmt::Debug for SignIn {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "SignIn({:?}, until {})", self.pass, self.expires_unix_ms)
@@ -141,7 +141,7 @@ mod tests {
     use super::*;
     use crate::store::{KeyRow, NewKeyRow};
 
-    /// A register with a key of each of these tenants, which has its name as id.
+    /// A register with a key for each of these tenants. The key has the tenant's name as its id.
     fn keys(tenants: &[&str]) -> Register {
         let register = Register::new();
         let row = |(index, tenant): (usize, &&str)| KeyRow {
@@ -206,7 +206,7 @@ mod tests {
         assert_eq!(sign_ins.changed(), 1001);
     }
 
-    /// A sign-in by a key that is not known is worth nothing.
+    /// A sign-in by an unknown key is not accepted.
     #[test]
     fn a_sign_in_needs_its_key() {
         let (sign_ins, register) = (SignIns::default(), keys(&["one"]));
@@ -215,7 +215,7 @@ mod tests {
         assert!(sign_ins.find(cookie.text(), 1000).is_none());
     }
 
-    /// Who signs in often ends sign-ins of its own tenant only.
+    /// A tenant that signs in often ends only its own sign-ins.
     #[test]
     fn a_tenant_ends_its_own_sign_ins() {
         let (sign_ins, register) = (SignIns::default(), keys(&["one", "other"]));
@@ -228,7 +228,7 @@ mod tests {
         assert_eq!(sign_ins.lock().len(), SIGN_INS);
     }
 
-    /// The oldest makes room.
+    /// At the limit, the oldest sign-in is ended.
     #[test]
     fn sign_ins_are_bounded() {
         let (sign_ins, register) = (SignIns::default(), keys(&["one"]));

@@ -1,5 +1,5 @@
-//! What a service does for its keys by itself: reads those that others have changed, ends those
-//! that expire, and notes when keys are used.
+//! The task of a service for its keys: it reads changed keys, ends keys that expire, and stores
+//! when keys were used.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,11 +14,11 @@ use super::known::Known;
 
 /// Interval at which changed keys are read, and expired ones ended.
 pub(super) const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
-/// Interval at which uses are noted.
+/// Interval at which uses are stored.
 const NOTE_INTERVAL: Duration = Duration::from_secs(60);
-/// Time that the last note has. What it does not store is lost.
+/// Time for storing uses at the end. Uses that are not stored by then are lost.
 const LAST_NOTE: Duration = Duration::from_secs(2);
-/// Uses noted in one transaction, so that commits wait for few milliseconds.
+/// Uses that are stored in one transaction, so that commits wait only some milliseconds.
 const NOTES: usize = 500;
 
 /// The task that keeps the keys of a service up to date.
@@ -29,7 +29,7 @@ pub(super) struct Upkeep {
 }
 
 impl Upkeep {
-    /// Runs until it is stopped, or nobody can stop it any more.
+    /// Runs until it is stopped, or the desk is dropped.
     pub(super) async fn run(mut self, known: Arc<Known>) {
         let mut stopped = self.stopped.clone();
         tokio::select! {

@@ -1,8 +1,7 @@
 //! Counters, gauges and histograms, and the process's own use of the machine.
 //!
-//! Each desk owns the meters of its work, and the operator's page of all of them is written by
-//! `contract::metrics`. A meter is a number that any task may raise without waiting; its clones
-//! share it.
+//! Each desk owns the meters of its work. `contract::metrics` writes the operator's page of all
+//! meters. A meter is a number that any task may raise without waiting; its clones share it.
 
 use std::fs;
 
@@ -11,10 +10,10 @@ pub(crate) use prometheus_client::metrics::family::Family;
 pub(crate) use prometheus_client::metrics::gauge::Gauge;
 pub(crate) use prometheus_client::metrics::histogram::Histogram;
 
-/// Upper bounds of the classes of a time (s): three a decade, from 0.1 ms to 10 s.
+/// Upper bounds of the buckets of a time (s): three per decade, from 0.1 ms to 10 s.
 const TIMES_S: [f64; 16] =
     [1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0];
-/// Upper bounds of the classes of a number.
+/// Upper bounds of the buckets of a number.
 const NUMBERS: [f64; 13] =
     [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0, 1024.0, 2048.0, 4096.0];
 /// Clock ticks of `/proc` (1/s); Linux fixes it for all user programs (proc(5)).
@@ -33,7 +32,7 @@ pub(crate) fn numbers() -> Histogram {
     Histogram::new(NUMBERS)
 }
 
-/// What a process uses, as far as the system tells.
+/// The resources that a process uses, as far as the system reports them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Usage {
     /// Processor time since the start, of user and system (s).
@@ -45,12 +44,12 @@ pub(crate) struct Usage {
 }
 
 impl Usage {
-    /// That of this process now; proc(5).
+    /// The present use of this process; proc(5).
     pub(crate) fn now() -> Self {
         Self::of("self")
     }
 
-    /// That of the process with this number.
+    /// The present use of the process with this number.
     pub(crate) fn of(process: &str) -> Self {
         let read = |file: &str| fs::read_to_string(format!("/proc/{process}/{file}")).ok();
         let files = fs::read_dir(format!("/proc/{process}/fd"));

@@ -1,4 +1,4 @@
-//! The quotas of a service: in memory for calls, in the store for changes.
+//! The quotas of a service: calls use them in memory, changes go to the store.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -18,7 +18,7 @@ use super::{Meter, QuotaError};
 
 /// Interval at which changed quotas are read.
 const REFRESH_INTERVAL: Duration = Duration::from_millis(400);
-/// Interval at which sessions and bytes of tenants with a quota of them are counted.
+/// Interval at which sessions and bytes are counted for tenants with such a quota.
 const COUNT_INTERVAL: Duration = Duration::from_secs(10);
 
 /// The quotas of all tenants. All clones share them.
@@ -39,11 +39,11 @@ pub struct Meters(Arc<Registered>);
 #[derive(Debug, Default)]
 struct Registered {
     by_tenant: RwLock<HashMap<Tenant, Arc<Meter>>>,
-    /// Number of the last change that is here.
+    /// Number of the last change that was read.
     changed: AtomicI64,
 }
 
-/// A tenant with its quotas and what it uses.
+/// A tenant with its quotas and its use.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TenantInfo {
     /// The tenant.
@@ -52,11 +52,11 @@ pub struct TenantInfo {
     pub created_unix_ms: i64,
     /// Number of the last change of its quotas; 0 if they were never set.
     pub changed: i64,
-    /// What it may use.
+    /// Its quotas.
     pub quotas: Quotas,
-    /// What it has used recently.
+    /// Its recent use.
     pub rates: Rates,
-    /// What it has stored.
+    /// The amount that it has stored.
     pub stored: TenantUse,
     /// Bytes of the files of its jobs and uploads.
     pub job_bytes: u64,
@@ -81,7 +81,7 @@ impl Meters {
         by_tenant.values().cloned().collect()
     }
 
-    /// Reads the quotas that were set since the last time.
+    /// Reads the quotas that were set since the last read.
     async fn refresh(&self, store: &Store) -> Result<(), StoreError> {
         for row in store.changed_tenants(self.0.changed.load(Ordering::Acquire)).await? {
             self.of(&row.tenant).set(row.quotas);
@@ -93,8 +93,8 @@ impl Meters {
 }
 
 impl TenantQuotas {
-    /// Reads all quotas into `meters`, and keeps up with their changes until it is closed or the
-    /// process ends.
+    /// Reads all quotas into `meters`, and follows their changes until it is closed or the process
+    /// ends.
     ///
     /// # Errors
     /// The store fails.
@@ -106,10 +106,11 @@ impl TenantQuotas {
     }
 
     /// Sets the quotas of a tenant, in force at once, as an act of `author`. The tenant exists from
-    /// then on. `changed` is the number of its last change as the caller knows it; `None` for any.
+    /// then on. `changed` is the number of its last change that the caller has read; `None` for
+    /// any.
     ///
     /// # Errors
-    /// The tenant has changed since, or the store fails.
+    /// The tenant has been changed since, or the store fails.
     pub async fn set(
         &self,
         tenant: &Tenant,
@@ -155,13 +156,12 @@ impl TenantQuotas {
         Ok(TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored, job_bytes })
     }
 
-    /// Stops keeping up with changes. When this returns the desk no longer uses the store by
-    /// itself.
+    /// Stops following changes. After this the desk no longer uses the store on its own.
     pub(crate) async fn close(&self) {
         let upkeep = self.0.upkeep.lock().unwrap_or_else(PoisonError::into_inner).take();
         if let Some(upkeep) = upkeep {
             upkeep.abort();
-            // Err: it was stopped, as it should.
+            // Err: it was stopped, as intended.
             upkeep.await.ok();
         }
     }
@@ -207,7 +207,7 @@ async fn keep(store: Store, meters: Meters) {
     }
 }
 
-/// Counts in the store what a tenant has of that for which it has a quota.
+/// Counts in the store the amounts for which a tenant has a quota.
 async fn count(store: &Store, meter: &Meter) -> Result<(), StoreError> {
     let quotas = meter.quotas();
     if quotas.is_of_stored() {

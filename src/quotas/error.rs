@@ -1,17 +1,17 @@
-//! Why a tenant's request is refused, and why a change of its quotas is.
+//! Why a quota refuses a tenant's request, and why a change of quotas is refused.
 
 use std::time::Duration;
 
 use crate::refusal::Code;
 use crate::store::StoreError;
 
-/// Delay after which jobs may have been deleted, or have expired.
+/// Delay before a retry: jobs may be deleted or expire meanwhile.
 const JOB_FILES_DELAY: Duration = Duration::from_secs(60);
 
-/// A quota that a tenant has used.
+/// A quota that is used up, or a change of quotas that is refused.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum QuotaError {
-    /// As many sessions as allowed are stored.
+    /// The tenant stores as many sessions as its quota allows.
     #[error("the tenant has {used} sessions, its quota is {limit}")]
     Sessions {
         /// Number of stored sessions.
@@ -21,7 +21,7 @@ pub enum QuotaError {
         /// The delay before another attempt makes sense.
         retry_after: Duration,
     },
-    /// As many epochs have come as allowed.
+    /// The tenant sends as many epochs a second as its quota allows.
     #[error("the tenant sends {used:.1} epochs a second, its quota is {limit}")]
     Epochs {
         /// Epochs a second.
@@ -31,7 +31,7 @@ pub enum QuotaError {
         /// The delay until epochs are taken again.
         retry_after: Duration,
     },
-    /// As much time of solvers is used as allowed.
+    /// The tenant has used as much processor time of the solvers as its quota allows.
     #[error(
         "the tenant has used {used:.1} s of processor time in a minute, its quota is {limit} s"
     )]
@@ -43,7 +43,7 @@ pub enum QuotaError {
         /// The delay until solvers are used again.
         retry_after: Duration,
     },
-    /// As much is stored as allowed.
+    /// The tenant stores as many bytes as its quota allows.
     #[error("the tenant has some {used} bytes stored, its quota is {limit}")]
     Stored {
         /// Bytes stored, approximately.
@@ -53,7 +53,7 @@ pub enum QuotaError {
         /// The delay before another attempt makes sense.
         retry_after: Duration,
     },
-    /// The files of jobs take as many bytes as allowed, or would take more.
+    /// The files of the tenant's jobs have as many bytes as its quota allows, or would have more.
     #[error("the files of the tenant's jobs have {used} bytes, its quota is {limit}")]
     JobFiles {
         /// Bytes of files, without those that are refused.
@@ -93,7 +93,7 @@ impl QuotaError {
         }
     }
 
-    /// The delay before the next attempt; zero where time changes nothing.
+    /// The delay before the next attempt; zero if waiting does not help.
     pub const fn retry_after(&self) -> Duration {
         match self {
             Self::Sessions { retry_after, .. }

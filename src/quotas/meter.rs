@@ -1,4 +1,4 @@
-//! What one tenant uses, beside what it may.
+//! The use of one tenant, compared with its quotas.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -9,14 +9,14 @@ use crate::tenant::{Quotas, Tenant};
 use super::QuotaError;
 use super::window::Window;
 
-/// Time over which the rate of epochs is averaged (s): as much may come at once.
+/// Time over which the rate of epochs is averaged (s). The epochs of this time may come at once.
 pub(super) const EPOCHS_WINDOW_S: f64 = 10.0;
-/// Time over which the time of solvers is summed (s).
+/// Time over which the processor time of the solvers is summed (s).
 pub(super) const CPU_WINDOW_S: f64 = 60.0;
-/// Delay after which sessions may have been deleted, or their epochs expired.
+/// Delay before a retry: sessions may be deleted, or their epochs expire, meanwhile.
 const STORED_DELAY: Duration = Duration::from_secs(60);
 
-/// What a tenant uses and may use. All who work for the tenant share it.
+/// The use of a tenant and its quotas. All desks that work for the tenant share it.
 #[derive(Debug)]
 pub struct Meter {
     tenant: Tenant,
@@ -31,18 +31,18 @@ struct Inner {
     quotas: Quotas,
     epochs: Window,
     cpu_s: Window,
-    /// What it had stored when that was last counted.
+    /// The amount that it had stored at the last count.
     stored: Option<TenantUse>,
-    /// Bytes of the files of its jobs when they were last counted.
+    /// Bytes of the files of its jobs at the last count.
     job_bytes: Option<u64>,
 }
 
-/// What a tenant has used recently.
+/// The recent use of a tenant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rates {
     /// Epochs a second, over ten seconds.
     pub epochs_per_s: f64,
-    /// Time of solvers in the last minute (s).
+    /// Processor time of the solvers in the last minute (s).
     pub cpu_s_per_minute: f64,
 }
 
@@ -63,7 +63,7 @@ impl Meter {
         &self.tenant
     }
 
-    /// What it may use.
+    /// Its quotas.
     pub fn quotas(&self) -> Quotas {
         self.lock().quotas
     }
@@ -76,8 +76,8 @@ impl Meter {
         self.lock().stored = Some(stored);
     }
 
-    /// What it had stored when that was last counted, ten seconds ago at most; `None` if it has no
-    /// quota of sessions or bytes.
+    /// The amount that it had stored at the last count, at most ten seconds ago; `None` if it has
+    /// no quota of sessions or bytes.
     pub(crate) fn stored(&self) -> Option<TenantUse> {
         let inner = self.lock();
         inner.stored.filter(|_| inner.quotas.is_of_stored())
@@ -87,14 +87,14 @@ impl Meter {
         self.lock().job_bytes = Some(bytes);
     }
 
-    /// Bytes of the files of its jobs and uploads when they were last counted, ten seconds ago at
-    /// most; `None` if it has no quota of them.
+    /// Bytes of the files of its jobs and uploads at the last count, at most ten seconds ago;
+    /// `None` if it has no quota of them.
     pub(crate) fn job_bytes(&self) -> Option<u64> {
         let inner = self.lock();
         inner.job_bytes.filter(|_| inner.quotas.job_bytes.is_some())
     }
 
-    /// What it has used recently.
+    /// Its recent use.
     pub fn rates(&self) -> Rates {
         let (mut inner, now_s) = (self.lock(), self.now_s());
         Rates {
@@ -103,11 +103,11 @@ impl Meter {
         }
     }
 
-    /// Admits new epochs: of a tenant that is within its quotas. Their number may exceed what is
-    /// left; then the next ones wait for longer.
+    /// Admits new epochs if the tenant is within its quotas. Their number may exceed what is left;
+    /// the next epochs then have to wait longer.
     ///
     /// # Errors
-    /// The tenant has used what it may.
+    /// The tenant has used up a quota.
     pub fn admit_epochs(&self) -> Result<(), QuotaError> {
         let (mut inner, now_s) = (self.lock(), self.now_s());
         if let Some(limit) = inner.quotas.epochs_per_s {
@@ -129,7 +129,7 @@ impl Meter {
     /// Admits a computation that is not stored.
     ///
     /// # Errors
-    /// The tenant has used the time of solvers that it may.
+    /// The tenant has used up its processor time of the solvers.
     pub fn admit_computation(&self) -> Result<(), QuotaError> {
         let (mut inner, now_s) = (self.lock(), self.now_s());
         inner.check_cpu(now_s)
@@ -143,8 +143,9 @@ impl Meter {
         }
     }
 
-    /// Waits until no other session of the tenant is created, and returns the most that there may
-    /// be; none if there is no limit. The next one waits until the guard is dropped.
+    /// Waits until no other session of the tenant is being created. Returns a guard and the most
+    /// sessions allowed, or `None` without a limit. The next caller waits until the guard is
+    /// dropped.
     pub async fn creating_session(&self) -> Option<(tokio::sync::MutexGuard<'_, ()>, u64)> {
         let limit = self.quotas().sessions?;
         Some((self.creating.lock().await, limit))
@@ -156,7 +157,7 @@ impl Meter {
         inner.epochs.add(epochs as f64, now_s);
     }
 
-    /// Counts time of solvers.
+    /// Counts processor time of the solvers.
     pub fn count_cpu(&self, time: Duration) {
         let (mut inner, now_s) = (self.lock(), self.now_s());
         inner.cpu_s.add(time.as_secs_f64(), now_s);
@@ -225,7 +226,7 @@ mod tests {
             let delay = error.retry_after();
             assert!(!delay.is_zero() && delay <= Duration::from_secs(longest_s), "{delay:?}");
         }
-        // What is set later counts at once, and so does its end.
+        // A quota that is set later counts at once, and so does its removal.
         let meter = meter(none);
         meter.count_epochs(1000);
         meter.set(Quotas { epochs_per_s: Some(10.0), ..none });

@@ -1,7 +1,8 @@
-//! What was used within a time that ends now, approximately.
+//! The approximate use within a window of time that ends now.
 //!
-//! Two counts are kept: of the present window and of the one before, of which the part counts that
-//! is not longer ago than a window. For steady use the sum is that of the last window.
+//! Two counts are kept: of the present window and of the previous one. Of the previous count, only
+//! the fraction is added that lies within one window length before now. For steady use the sum is
+//! the use within the last window length.
 
 use std::time::Duration;
 
@@ -19,7 +20,7 @@ impl Window {
         Self { length_s, begun_s: 0.0, present: 0.0, before: 0.0 }
     }
 
-    /// Begins another window if the present one is over.
+    /// Begins the next window if the present one is over.
     fn turn(&mut self, now_s: f64) {
         let windows = ((now_s - self.begun_s) / self.length_s).floor();
         if windows < 1.0 {
@@ -36,14 +37,14 @@ impl Window {
         self.present += amount;
     }
 
-    /// What was used within the last window.
+    /// The use within the last window length.
     pub(super) fn used(&mut self, now_s: f64) -> f64 {
         self.turn(now_s);
         let elapsed = (now_s - self.begun_s) / self.length_s;
         self.present + self.before * (1.0 - elapsed)
     }
 
-    /// The time until less than `allowed` is used, if nothing is added; zero if it is so now.
+    /// The time until the use is below `allowed`, if nothing is added; zero if it is so now.
     pub(super) fn delay(&mut self, allowed: f64, now_s: f64) -> Duration {
         if self.used(now_s) < allowed {
             return Duration::ZERO;
@@ -80,7 +81,7 @@ mod tests {
         assert_eq!(window.used(125.0), 0.0);
     }
 
-    /// After the delay, and not before, less than allowed is used.
+    /// After the delay, and not before it, the use is below the allowed one.
     #[test]
     fn the_delay_is_that_until_use_is_allowed() {
         for (amount, now_s) in [(30.0, 3.0), (1000.0, 3.0), (30.0, 12.0)] {

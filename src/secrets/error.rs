@@ -5,7 +5,7 @@ use crate::refusal::Code;
 /// Why a stored secret, or the key of secrets, cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SecretsError {
-    /// A key is not one.
+    /// A text or file is not a key.
     #[error("{what}: {why}")]
     Key {
         /// The file.
@@ -13,16 +13,16 @@ pub enum SecretsError {
         /// What is wrong with it.
         why: String,
     },
-    /// A secret is under a key that the service does not have.
+    /// A secret is encrypted with a key that the service does not have.
     #[error("stored secrets are encrypted with the key {key}, which is not given")]
     KeyUnknown {
         /// Id of the key.
         key: String,
     },
-    /// A secret has changed, or was made for something else.
+    /// A secret was changed, or was encrypted for another owner.
     #[error("the stored secret of {owner} has been changed")]
     Damaged {
-        /// What it belongs to.
+        /// Its owner.
         owner: String,
     },
 }

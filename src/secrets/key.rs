@@ -15,14 +15,14 @@ use super::SecretsError;
 const KEY_BYTES: usize = 32;
 /// Longest file that is read: a key of 64 digits and a line end have 66 bytes.
 const FILE_BYTES: u64 = 4096;
-/// Length of a key's id (hexadecimal digits). It names the key and tells nothing of it.
+/// Length of a key's id (hexadecimal digits). The id names the key and does not reveal it.
 const ID_DIGITS: usize = 8;
 
 /// A key of 256 bits. `Debug` shows its id only.
 pub struct SecretsKey {
     id: String,
     cipher: LessSafeKey,
-    /// Key of hashes.
+    /// The key for keyed hashes.
     hashing: [u8; 32],
 }
 
@@ -69,7 +69,7 @@ impl SecretsKey {
         })
     }
 
-    /// Names the key.
+    /// The id, which names the key.
     pub(super) fn id(&self) -> &str {
         &self.id
     }
@@ -94,7 +94,7 @@ impl SecretsKey {
         String::from_utf8(secret.to_vec()).ok()
     }
 
-    /// Hash of a content that needs this key.
+    /// A hash that only the holder of this key can compute.
     pub(super) fn hash(&self, content: &[u8]) -> blake3::Hash {
         blake3::keyed_hash(&self.hashing, content)
     }

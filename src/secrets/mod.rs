@@ -1,8 +1,8 @@
-//! Secrets that the service stores and must use again, such as passwords at casters, encrypted with
-//! a key of the operator's. API keys are not among them: of those a hash is enough.
+//! Secrets that the service stores and must use again, such as passwords at casters. They are
+//! encrypted with the operator's key. API keys are not among them, because their hash suffices.
 //!
-//! AES-256 in Galois/counter mode (NIST SP 800-38D) with 96 random bits as nonce. What a secret
-//! belongs to is authenticated with it, so a secret that is moved to another row does not open.
+//! AES-256 in Galois/counter mode (NIST SP 800-38D) with 96 random bits as nonce. The owner of a
+//! secret is authenticated with it, so a secret that is moved to another row cannot be opened.
 
 mod error;
 mod key;
@@ -13,9 +13,9 @@ pub use key::SecretsKey;
 /// The keys that encrypt and decrypt stored secrets.
 #[derive(Default)]
 pub struct Secrets {
-    /// Encrypts; `None` if secrets are stored as they are.
+    /// The key that encrypts; `None` if secrets are stored in plain text.
     current: Option<SecretsKey>,
-    /// Decrypt only.
+    /// Keys that only decrypt.
     former: Vec<SecretsKey>,
 }
 
@@ -39,7 +39,7 @@ impl Secrets {
         self.current.as_ref().map(SecretsKey::id)
     }
 
-    /// The secret of `owner` as it is to be stored. What is empty is no secret.
+    /// The secret of `owner` in its stored form. An empty text is not encrypted.
     pub(crate) fn seal(&self, owner: &str, secret: &str) -> StoredSecret {
         match self.current.as_ref().filter(|_| !secret.is_empty()) {
             None => StoredSecret { text: secret.to_owned(), key: None },
@@ -65,7 +65,8 @@ impl Secrets {
         opened.ok_or_else(|| SecretsError::Damaged { owner: owner.to_owned() })
     }
 
-    /// Hash of what has a secret in it: nobody without the key can find the secret by trying.
+    /// Hash of content that contains a secret. Without the key nobody can find the secret by
+    /// trying.
     pub(crate) fn hash(&self, content: &[u8]) -> String {
         let hash = match &self.current {
             None => blake3::hash(content),
@@ -92,7 +93,7 @@ mod tests {
         assert_eq!(secrets.unseal("base 1", &stored).unwrap(), "open sesame");
         let moved = secrets.unseal("base 2", &stored);
         assert!(matches!(moved, Err(SecretsError::Damaged { .. })), "{moved:?}");
-        // Two of the same secret do not show that they are.
+        // Equal secrets have different stored texts.
         assert_ne!(secrets.seal("base 1", "open sesame"), stored);
     }
 

@@ -1,12 +1,12 @@
-//! Tenants: to whom sessions, bases, jobs, navigation data and keys belong, and what they may use.
+//! Tenants: the owners of sessions, bases, jobs, navigation data and keys, and their quotas.
 //!
-//! Whoever reads or changes what belongs to a tenant names the tenant: desks are asked by a handle
-//! of one tenant, and the store's statements have it in their condition. So what belongs to another
-//! tenant is not found, as if it did not exist.
+//! Code that reads or changes an object of a tenant names the tenant: the handle of a desk belongs
+//! to one tenant, and the store's statements have the tenant in their condition. So an object of
+//! another tenant is not found, as if it did not exist.
 //!
-//! The operator is a tenant, too: the one of a service without keys, and of all that was stored
-//! before there were tenants. Its bases and navigation data serve all tenants. It has no other way
-//! to what belongs to another tenant than a key of that tenant.
+//! The operator is a tenant, too. It is the tenant of a service without keys, and the owner of
+//! everything that was stored before there were tenants. Its bases and navigation data serve all
+//! tenants. It reaches objects of another tenant only with a key of that tenant.
 
 use std::fmt;
 use std::sync::Arc;
@@ -26,8 +26,8 @@ impl Tenant {
         Self(OPERATOR.into())
     }
 
-    /// The tenant of a name: 1 to 63 lower-case letters, digits, `-` and `_`, of which the first is
-    /// a letter or digit; `None` for another text.
+    /// The tenant with this name: 1 to 63 lower-case letters, digits, `-` and `_`, beginning with a
+    /// letter or digit; `None` for any other text.
     pub fn parse(name: &str) -> Option<Self> {
         let is_inner = |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit();
         let is_name = (1..=NAME_MAX).contains(&name.len())
@@ -36,7 +36,7 @@ impl Tenant {
         is_name.then(|| Self(name.into()))
     }
 
-    /// The tenant of a name that is stored.
+    /// The tenant with this stored name.
     pub(crate) fn stored(name: &str) -> Self {
         Self(name.into())
     }
@@ -52,7 +52,7 @@ impl Tenant {
     }
 }
 
-/// What a tenant may use; `None` for no limit.
+/// The quotas of a tenant; `None` for no limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Quotas {
     /// Sessions that are stored, open and closed.
@@ -68,12 +68,12 @@ pub struct Quotas {
 }
 
 impl Quotas {
-    /// Whether there is a quota of sessions or of their bytes, which are counted in the store.
+    /// Whether there is a quota that is counted in the store: of sessions or of their bytes.
     pub(crate) const fn is_of_stored(&self) -> bool {
         self.sessions.is_some() || self.stored_bytes.is_some()
     }
 
-    /// What differs from the quotas before, for people: each quota with its value before and now.
+    /// The changed quotas as text for people: each with its value before and now.
     pub(crate) fn changes_since(&self, before: &Self) -> String {
         let count = |quota: Option<u64>| quota.map(|quota| quota.to_string());
         let rate = |quota: Option<f64>| quota.map(|quota| quota.to_string());

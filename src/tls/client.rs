@@ -1,4 +1,4 @@
-//! Encrypted connections of a command to a service.
+//! Encrypted connections from a command to a service.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,16 +11,16 @@ use tokio_rustls::rustls::{ClientConfig, Error, RootCertStore};
 use super::files::PemFile;
 use super::{Connection, HAS_VERSIONS, PROVIDER, TlsError};
 
-/// The files that a client names.
+/// The files that are named for a client.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ClientFiles {
-    /// Authorities of services; `None`: Mozilla's.
+    /// Authorities of services; `None` for Mozilla's.
     pub(crate) ca: Option<PathBuf>,
     /// The client's own certificate and its private key.
     pub(crate) identity: Option<(PathBuf, PathBuf)>,
 }
 
-/// Connects to services, encrypted where the address is `https://`. All clones share it.
+/// Connects to services, encrypted if the address is `https://`. All clones share it.
 #[derive(Clone)]
 pub(crate) struct ClientTls(Arc<ClientConfig>);
 

@@ -1,10 +1,10 @@
-//! Why a certificate is not used, or a connection not encrypted.
+//! Why a certificate is not used, or a connection is not encrypted.
 
 use std::path::PathBuf;
 
 use crate::refusal::Code;
 
-/// Why a certificate is not used, or a connection not encrypted.
+/// Why a certificate is not used, or a connection is not encrypted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TlsError {
     /// A file cannot be read, or does not contain what it should.
@@ -15,7 +15,7 @@ pub enum TlsError {
         /// What is wrong with it.
         why: String,
     },
-    /// The private key is not that of the certificate.
+    /// The private key does not belong to the certificate.
     #[error("{}: this is not the private key of {}", key.display(), certificate.display())]
     KeyMismatch {
         /// The file of the key.
@@ -36,15 +36,15 @@ pub enum TlsError {
     NotYetValid {
         /// The file of the certificate.
         file: PathBuf,
-        /// Date and time of its begin.
+        /// Date and time of its beginning.
         not_before: String,
     },
-    /// A list of revoked certificates has expired: its authority has a newer one.
+    /// A list of revoked certificates has expired; its authority has published a newer one.
     #[error("{}: the list of revoked certificates has expired at {next_update}", file.display())]
     ListExpired {
         /// The file of the list.
         file: PathBuf,
-        /// Date and time until which the authority publishes the next one.
+        /// Date and time by which the authority publishes the next one.
         next_update: String,
     },
     /// A handshake with a service failed.
@@ -52,7 +52,7 @@ pub enum TlsError {
     Handshake {
         /// Name or address of the service.
         host: String,
-        /// Why one of the two refuses the other.
+        /// Why one side refuses the other.
         why: String,
     },
 }

@@ -91,7 +91,7 @@ impl PemFile {
         }
     }
 
-    /// Why a certificate in this file and a key in another one are refused.
+    /// The error of a certificate in this file and a key in another file that do not fit.
     pub(super) fn refused(&self, key: &Self, error: &Error) -> TlsError {
         match error {
             Error::InconsistentKeys(_) => {

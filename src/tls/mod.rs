@@ -1,7 +1,8 @@
-//! TLS: the certificate of the service and its renewal, and what the program trusts as a client.
+//! TLS: the certificate of the service and its renewal, and the authorities that the program trusts
+//! as a client.
 //!
-//! Cryptography and protocol are rustls's, with *ring*. Files are read here, and certificates of
-//! the service are checked before they are used. The handshakes of the service are in `http`.
+//! Cryptography and protocol are those of rustls, with *ring*. Files are read here, and
+//! certificates of the service are checked before use. The handshakes of the service are in `http`.
 
 mod client;
 mod connection;
@@ -23,5 +24,5 @@ pub(crate) use server::ServerTls;
 /// The cryptography of all connections.
 static PROVIDER: LazyLock<Arc<CryptoProvider>> =
     LazyLock::new(|| Arc::new(ring::default_provider()));
-/// Why every version of TLS that rustls has can be built.
+/// Why a configuration with every version of TLS in rustls can be built.
 const HAS_VERSIONS: &str = "ring's provider has every version";

@@ -1,4 +1,4 @@
-//! Renewal: the certificate that is served follows its files, without a restart.
+//! Renewal: the served certificate follows its files, without a restart.
 
 use std::convert::Infallible;
 use std::time::Duration;
@@ -8,29 +8,29 @@ use blake3::Hash;
 use super::TlsError;
 use super::server::{Accepting, ServerTls};
 
-/// Interval at which the files are compared with what is served.
+/// Interval at which the files are compared with the served certificate.
 const INTERVAL: Duration = Duration::from_secs(2);
 
-/// The files as they are now: the hash of their contents, and what they give.
+/// The result of reading the files: a hash of their contents, and the new configuration.
 struct Look {
-    /// Of the error, if they cannot be read.
+    /// Hash of the contents; of the error, if they cannot be read.
     hash: Hash,
-    /// `None` if they are what is served.
+    /// The new configuration; `None` if the files have not changed.
     found: Result<Option<Accepting>, TlsError>,
 }
 
 impl ServerTls {
-    /// Compares the files with what is served, for ever. New connections are served with a valid
-    /// new certificate; an invalid one changes nothing and is reported once.
+    /// Compares the files with the served certificate, for ever. A valid new certificate serves new
+    /// connections. An invalid one changes nothing and is reported once.
     pub(crate) async fn follow_files(&self) -> Infallible {
         let mut served = self.first();
-        // What was invalid at the last look, and what was reported.
+        // Hashes of the invalid contents at the last look, and of those that were reported.
         let (mut seen, mut reported) = (None, None);
         loop {
             tokio::time::sleep(INTERVAL).await;
             let tls = self.clone();
             let look = tokio::task::spawn_blocking(move || tls.look(served)).await;
-            // Err: it panicked, which is reported, or the runtime ends.
+            // Err: it panicked, which is already reported, or the runtime ends.
             let Ok(Look { hash, found }) = look else { continue };
             match found {
                 Ok(accepting) => {
@@ -43,7 +43,8 @@ impl ServerTls {
                     self.meters().renewal_failed.set(0);
                     (seen, reported) = (None, None);
                 }
-                // One file is written before the other: what passes is no failure.
+                // The files are written one after another, so contents that are invalid once are no
+                // failure.
                 Err(_) if seen != Some(hash) => seen = Some(hash),
                 Err(error) => {
                     self.meters().renewal_failed.set(1);

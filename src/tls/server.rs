@@ -1,4 +1,4 @@
-//! The certificate of the service, as its files are, and what it asks of clients.
+//! The certificate of the service, read from its files, and the certificates required of clients.
 
 use std::path::PathBuf;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -26,7 +26,7 @@ pub(crate) struct ServerTls(Arc<Shared>);
 
 struct Shared {
     files: ServerFiles,
-    /// For the handshakes from now on.
+    /// Used for all handshakes from now on.
     accepting: RwLock<TlsAcceptor>,
     meters: TlsMeters,
     /// The contents of the files at the start.
@@ -38,9 +38,10 @@ struct Shared {
 pub(crate) struct TlsMeters {
     /// End of the certificate that is served (s since 1970-01-01 UTC).
     pub(crate) expiry_s: Gauge,
-    /// End of the list of revoked certificates that ends first (s since 1970-01-01 UTC); 0 without.
+    /// End of the list of revoked certificates that ends first (s since 1970-01-01 UTC); 0 without
+    /// one.
     pub(crate) list_expiry_s: Gauge,
-    /// 1 while the files are not what is served, since they are invalid.
+    /// 1 while the files are invalid and the served certificate is an older one.
     pub(crate) renewal_failed: Gauge,
     /// Handshakes that did not succeed.
     pub(crate) failed_handshakes: Counter,
@@ -54,7 +55,7 @@ pub(super) struct ServerFiles {
     client_crl: Option<PathBuf>,
 }
 
-/// What the files contain.
+/// The contents of the files.
 pub(super) struct Contents {
     certificate: PemFile,
     key: PemFile,
@@ -70,10 +71,10 @@ pub(super) struct Accepting {
 }
 
 impl ServerTls {
-    /// TLS by a configuration; `None` if it names no certificate.
+    /// TLS as configured; `None` if the configuration names no certificate.
     ///
     /// # Errors
-    /// A file cannot be read, the key is not that of the certificate, or the certificate is not
+    /// A file cannot be read, the key does not belong to the certificate, or the certificate is not
     /// valid now.
     pub(crate) fn open(configuration: &TlsConfiguration) -> Result<Option<Self>, TlsError> {
         let TlsConfiguration { certificate_file, key_file, client_ca_file, client_crl_file } =
@@ -93,7 +94,7 @@ impl ServerTls {
         Ok(Some(Self(Arc::new(Shared { files, accepting, meters, first }))))
     }
 
-    /// What the next handshake needs.
+    /// The acceptor for the next handshake.
     pub(crate) fn acceptor(&self) -> TlsAcceptor {
         self.0.accepting.read().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -143,7 +144,7 @@ impl ServerFiles {
 }
 
 impl Contents {
-    /// A hash of all of them, by which a change is recognised. The key is not kept.
+    /// A hash of all files, by which a change is recognised. The key is not kept.
     pub(super) fn hash(&self) -> Hash {
         let mut hasher = blake3::Hasher::new();
         let files = [Some(&self.certificate), Some(&self.key), self.client_ca.as_ref()];
@@ -204,8 +205,8 @@ impl Contents {
         Ok(first)
     }
 
-    /// What checks the certificates of clients. With lists of revoked certificates, a client whose
-    /// authority has none that is in force is refused, as nobody knows whether it is revoked.
+    /// The verifier of client certificates. If there are lists of revoked certificates, a client is
+    /// refused whose authority has no list in force, because it may be revoked.
     fn verifier(&self) -> Result<Option<Arc<dyn ClientCertVerifier>>, TlsError> {
         let Some(file) = &self.client_ca else { return Ok(None) };
         let authorities = Arc::new(file.authorities()?);

@@ -1,5 +1,5 @@
 //! The times for which a certificate (RFC 5280, section 4.1.2.5) and a list of revoked certificates
-//! (section 5.1.2.5) are valid. Nothing else of them is used here; rustls checks them.
+//! (section 5.1.2.5) are valid. rustls checks all other fields.
 
 use std::fmt;
 
@@ -39,7 +39,7 @@ pub(super) fn validity(certificate: &[u8]) -> Option<Validity> {
     Some(Validity { not_before, not_after })
 }
 
-/// When a list of revoked certificates in DER ends; `None` if it cannot be read, or does not say.
+/// When a list of revoked certificates in DER ends; `None` if it is unreadable or has no end.
 pub(super) fn next_update(list: &[u8]) -> Option<Moment> {
     moment(&CertificateList::from_der(list).ok()?.tbs_cert_list.next_update?)
 }
@@ -82,7 +82,8 @@ mod tests {
         der(SEQUENCE, &[der(SEQUENCE, &signed), algorithm, bits].concat())
     }
 
-    /// `date -u -d '1999-12-31 23:59:59' +%s` and `date -u -d '2050-02-28 12:00:01' +%s`.
+    /// The values are from `date -u -d '1999-12-31 23:59:59' +%s` and
+    /// `date -u -d '2050-02-28 12:00:01' +%s`.
     #[test]
     fn both_forms_of_a_time_are_read() {
         let (first, last) = (der(UTC_TIME, b"991231235959Z"), b"20500228120001Z");

@@ -1,4 +1,4 @@
-//! What a build without the feature `otlp` has in place of traces: types without values.
+//! The types that replace traces in a build without the feature `otlp`. They have no values.
 
 use std::convert::Infallible;
 use std::time::Instant;
@@ -7,7 +7,7 @@ use crate::config::TelemetryConfiguration;
 
 use super::{TraceMeters, TracesError, Work};
 
-/// Stands for what names a span.
+/// Replaces the identity of a span.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct TraceContext(Infallible);
 
@@ -18,7 +18,7 @@ impl TraceContext {
     }
 }
 
-/// Stands for a timed part of the work for a request.
+/// Replaces a span.
 #[derive(Debug)]
 pub(crate) struct TraceSpan(Infallible);
 
@@ -48,7 +48,7 @@ impl TraceSpan {
     }
 }
 
-/// Stands for what begins traces.
+/// Replaces the tracer.
 #[derive(Clone, Debug)]
 pub(crate) struct Tracer(Infallible);
 
@@ -66,7 +66,7 @@ impl Tracer {
     }
 }
 
-/// Stands for the task that sends spans.
+/// Replaces the task that sends spans.
 #[derive(Debug)]
 pub(crate) struct Exporter(Infallible);
 

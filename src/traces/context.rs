@@ -1,6 +1,6 @@
-//! What names a span, and how a caller names its own: W3C Trace Context, level 1.
+//! The identity of a span, and how a caller sends its own: W3C Trace Context, level 1.
 
-/// What names a span.
+/// The identity of a span.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TraceContext {
     /// The trace; not zero.
@@ -28,8 +28,8 @@ impl TraceContext {
         uuid::Uuid::new_v4().as_u64_pair().1
     }
 
-    /// The caller's span in a header `traceparent`; `None` if it is not valid, which the standard
-    /// asks to ignore. Later versions may have further fields.
+    /// The caller's span in a header `traceparent`; `None` if the header is invalid, which the
+    /// standard says to ignore. Later versions may have further fields.
     pub(crate) fn parse(header: &str) -> Option<Self> {
         let mut fields = header.trim().split('-');
         let mut field = |digits: usize| {

@@ -1,8 +1,8 @@
 //! Sends ended spans to the collector, in batches, by one task.
 //!
-//! A batch that the collector does not take within its time is dropped and counted: traces are for
-//! finding out, not for keeping. The log has one line when the collector fails, and one when it
-//! works again.
+//! A batch that the collector does not accept in time is dropped and counted, because traces are
+//! for diagnosis and need not be complete. The log has one line when the collector fails, and one
+//! when it works again.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
@@ -26,13 +26,13 @@ use super::otlp::{self, ExportRequest, ExportResponse};
 use super::span::EndedSpan;
 use super::{Tracer, TracesError};
 
-/// Spans that wait for the collector.
+/// Most spans that wait for the collector.
 const QUEUE: usize = 4_096;
-/// Most spans of a message.
+/// Most spans in a message.
 const BATCH: usize = 512;
-/// Longest time that a span waits for others of its message.
+/// Longest time that a span waits for others in its message.
 const INTERVAL: Duration = Duration::from_secs(1);
-/// Time that the collector has for a message, also at the end of the service.
+/// Time for a message to the collector, even at the end of the service.
 const TIMEOUT: Duration = Duration::from_secs(5);
 const PATH: &str = "/opentelemetry.proto.collector.trace.v1.TraceService/Export";
 const NS_PER_MS: u64 = 1_000_000;
@@ -47,7 +47,7 @@ pub(crate) struct Exporter {
 
 impl Exporter {
     /// Starts to send the spans of a node, if the configuration names a collector. It connects when
-    /// there are some.
+    /// there are spans.
     ///
     /// # Errors
     /// The address or the file of authorities is invalid.
@@ -70,12 +70,12 @@ impl Exporter {
         Ok(Some(Self { tracer, stop, task }))
     }
 
-    /// Begins traces whose spans are sent.
+    /// The tracer whose spans this task sends.
     pub(crate) const fn tracer(&self) -> &Tracer {
         &self.tracer
     }
 
-    /// Sends what waits, for a limited time, and ends.
+    /// Sends the waiting spans, for a limited time, and ends.
     pub(crate) async fn close(self) {
         self.stop.send_replace(true);
         // Err: it panicked, or takes too long; spans may be lost.
@@ -116,7 +116,7 @@ struct Sending {
     client: tonic::client::Grpc<Channel>,
     tracer: Tracer,
     node: String,
-    /// The collector has not taken the last message.
+    /// The collector has not accepted the last message.
     has_failed: bool,
 }
 
@@ -126,7 +126,7 @@ impl Sending {
         let mut batch = Vec::with_capacity(BATCH);
         loop {
             let is_stopped = tokio::select! {
-                // Err: the exporter is gone without a word; so is everything that could trace.
+                // Err: the exporter was dropped, and with it everything that could trace.
                 _ = stopped.wait_for(|stopped| *stopped) => true,
                 () = sleep(INTERVAL) => false,
                 () = gathered(&mut queue, &mut batch) => false,
@@ -185,7 +185,7 @@ impl Sending {
     }
 }
 
-/// Takes spans until there are as many as in one message.
+/// Takes spans until a message is full.
 async fn gathered(queue: &mut Receiver<EndedSpan>, batch: &mut Vec<EndedSpan>) {
     while batch.len() < BATCH {
         let missing = BATCH - batch.len();

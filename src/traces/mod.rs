@@ -1,12 +1,12 @@
-//! Traces for OpenTelemetry: how long the parts of a request's work have taken, sent to a collector
-//! by OTLP over gRPC.
+//! Traces for OpenTelemetry: the durations of the parts of a request's work, sent to a collector by
+//! OTLP over gRPC.
 //!
-//! A request that is traced has a `TraceSpan`, and so has each push in a session's mailbox, with
-//! its computation and its commit. What belongs together has one trace id, which may be that of the
-//! caller (W3C Trace Context). Spans wait in a queue for `exporter`; when it is full they are
-//! counted and dropped, so a collector that is slow or gone costs memory for that queue and nothing
-//! else. Without a collector there is no `Tracer`, and nothing of this is done. A build without the
-//! feature `otlp` can have none.
+//! A traced request has a `TraceSpan`, and so has each push in a session's mailbox, with its
+//! computation and its commit. All spans of a request have one trace id, which may be the caller's
+//! (W3C Trace Context). Spans wait in a queue for `exporter`. If the queue is full, they are
+//! counted and dropped, so a slow or absent collector costs only the memory of the queue. Without a
+//! collector there is no `Tracer`, and no work is done. A build without the feature `otlp` has no
+//! traces.
 
 #[cfg(not(feature = "otlp"))]
 mod absent;
@@ -35,7 +35,7 @@ pub(crate) use exporter::Exporter;
 #[cfg(feature = "otlp")]
 pub(crate) use span::{TraceSpan, Tracer};
 
-/// What is done.
+/// The kind of work that a span measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// A request, until the head of its answer. Its name is that of the call.
@@ -48,19 +48,19 @@ pub(crate) enum Work {
     Commit,
 }
 
-/// What became of the spans. Clones share it.
+/// What happened to the spans. Clones share the counters.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct TraceMeters {
-    /// The collector has taken them.
+    /// Spans that the collector has accepted.
     pub(crate) exported: Counter,
-    /// The queue was full, or the collector has not taken them.
+    /// Spans that were dropped: the queue was full, or the collector did not accept them.
     pub(crate) dropped: Counter,
 }
 
-/// A request that is traced, as what it calls sees it.
+/// A traced request, for the spans of the work for it.
 #[derive(Clone, Debug)]
 pub(crate) struct Trace {
-    /// Begins the spans below.
+    /// Begins the child spans.
     pub(crate) tracer: Tracer,
     /// The span of the request.
     pub(crate) context: TraceContext,
@@ -69,7 +69,7 @@ pub(crate) struct Trace {
 }
 
 impl Trace {
-    /// The span of a push; one of a stream has a trace of its own.
+    /// The span of a push. A push of a stream has a trace of its own.
     pub(crate) fn push(&self, is_streamed: bool) -> Option<TraceSpan> {
         let mut span = match is_streamed {
             true => self.tracer.begin_linked(Work::Push, self.context),

@@ -119,7 +119,7 @@ struct KeyValue {
 /// `AnyValue` with a text.
 #[derive(Clone, PartialEq, prost::Message)]
 struct AnyValue {
-    // A member of a group is written even if it is empty.
+    // A member of a oneof is written even if it is empty.
     #[prost(string, optional, tag = "1")]
     string_value: Option<String>,
 }

@@ -1,4 +1,4 @@
-//! Timed parts of the work for a request, which OpenTelemetry calls spans, and what begins them.
+//! Spans, which are timed parts of the work for a request, and the tracer that begins them.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -20,7 +20,7 @@ struct Shared {
     queue: mpsc::Sender<EndedSpan>,
     meters: TraceMeters,
     ratio: f64,
-    /// Requests that could have begun a trace.
+    /// Number of requests that could have begun a trace.
     asked: AtomicU64,
 }
 
@@ -30,12 +30,12 @@ impl Tracer {
         Self(Arc::new(Shared { queue, meters, ratio, asked }))
     }
 
-    /// What became of the spans.
+    /// What happened to the spans.
     pub(crate) fn meters(&self) -> &TraceMeters {
         &self.0.meters
     }
 
-    /// The span of work that continues a trace, or else begins one; `None` if it is not traced.
+    /// The span of work that continues a trace, or begins one; `None` if it is not traced.
     pub(crate) fn begin(
         &self,
         work: Work,
@@ -46,16 +46,16 @@ impl Tracer {
         is_traced.then(|| TraceSpan::new(self.clone(), work, caller, since))
     }
 
-    /// The span of work with a trace of its own, linked to what it follows from; `None` if it is
-    /// not traced. So a stream of days is no trace of days.
+    /// The span of work with a trace of its own, linked to the span from which it follows; `None`
+    /// if it is not traced. So a stream that lasts for days does not become one trace.
     pub(crate) fn begin_linked(&self, work: Work, origin: TraceContext) -> Option<TraceSpan> {
         let begun =
             self.is_chosen().then(|| TraceSpan::new(self.clone(), work, None, Instant::now()));
         begun.map(|span| span.linked(origin))
     }
 
-    /// Whether another request without a decision of its caller is traced: evenly, so that the part
-    /// is right without chance.
+    /// Whether the next request is traced if its caller has not decided. The chosen requests are
+    /// evenly spaced, so their fraction is exact.
     fn is_chosen(&self) -> bool {
         let number = self.0.asked.fetch_add(1, Ordering::Relaxed) as f64;
         let ratio = self.0.ratio;
@@ -80,12 +80,12 @@ pub(crate) struct TraceSpan {
 #[derive(Debug)]
 pub(super) struct EndedSpan {
     pub(super) work: Work,
-    /// Its name; empty for that of its work.
+    /// Its name; empty for the name of its work.
     pub(super) name: &'static str,
     pub(super) context: TraceContext,
-    /// Id of the span within which it is.
+    /// Id of the parent span.
     pub(super) parent: Option<u64>,
-    /// What it follows from.
+    /// The span from which it follows.
     pub(super) link: Option<TraceContext>,
     pub(super) begun: Instant,
     pub(super) ended: Instant,
@@ -118,7 +118,7 @@ impl TraceSpan {
         self
     }
 
-    /// What names it.
+    /// Its identity.
     pub(crate) fn context(&self) -> TraceContext {
         self.span.as_ref().expect("a span is there until it is dropped").context
     }
@@ -137,7 +137,7 @@ impl TraceSpan {
         }
     }
 
-    /// Ends it without a trace of it.
+    /// Ends it without recording it.
     pub(crate) fn forget(mut self) {
         self.span = None;
     }
@@ -149,7 +149,7 @@ impl TraceSpan {
         }
     }
 
-    /// Records work within it that has been done.
+    /// Records completed work as a child of this span.
     pub(crate) fn done(&self, work: Work, (begun, ended): (Instant, Instant)) {
         let mut within = Self::new(self.tracer.clone(), work, Some(self.context()), begun);
         if let Some(mut span) = within.span.take() {
