@@ -1,4 +1,4 @@
-//! The key that a client's requests bring.
+//! The API key that a client's requests carry.
 
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
@@ -13,10 +13,10 @@ use super::Failure;
 pub(super) struct Bearer(Option<MetadataValue<Ascii>>);
 
 impl Bearer {
-    /// The value for a key.
+    /// The value for `key`.
     ///
     /// # Errors
-    /// The key has characters that no key has.
+    /// `key` has characters that no API key has.
     pub(super) fn of(key: Option<&str>) -> Result<Self, Failure> {
         let value = key.map(|key| format!("Bearer {key}").parse::<MetadataValue<Ascii>>());
         let mut value = value.transpose().map_err(|_| {

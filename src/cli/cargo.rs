@@ -1,4 +1,4 @@
-//! What a stream of a device carries: numbered epochs, or the bytes of a receiver.
+//! What a device's stream carries: numbered epochs, or the bytes of a receiver.
 
 use prost::Message;
 use tokio_stream::wrappers::ReceiverStream;
@@ -23,25 +23,25 @@ pub(super) trait Cargo {
         messages: Request<ReceiverStream<Self::Request>>,
     ) -> Result<tonic::Response<Streaming<Self::Response>>, Status>;
 
-    /// The content of an answer.
+    /// Reads the content of an answer.
     fn read(response: Self::Response) -> Answer;
 }
 
-/// What an opening names.
+/// What the first message of a stream tells the service.
 pub(super) struct Opening<'a> {
     pub(super) session: &'a str,
     pub(super) answers: v1::Answers,
-    /// Number of the last answered epoch; 0 if none is.
+    /// Number of the last answered epoch; 0 if there is none.
     pub(super) acknowledged: u64,
 }
 
-/// An answer, to epochs and to bytes alike.
+/// An answer to epochs or to bytes.
 pub(super) struct Answer {
     /// Time without a message after which the service ends the stream (s); in the first answer.
     pub(super) idle_s: Option<f64>,
     /// Number of the last epoch that is durable or refused, or number of durable bytes.
     pub(super) through: Option<u64>,
-    /// What the device may send, in all of this stream.
+    /// What the device may send in all, counted from the beginning of this stream.
     pub(super) credit: Amount,
     pub(super) results: Vec<v1::StreamResult>,
     pub(super) ending: Option<v1::StreamEnding>,
@@ -70,7 +70,7 @@ pub(super) struct Epochs;
 
 /// Bytes of a receiver.
 pub(super) struct RawBytes {
-    /// Dates bytes without a GPS week.
+    /// A time near that of the bytes. It dates bytes without a GPS week.
     pub(super) near: Option<GpsTime>,
 }
 

@@ -137,7 +137,7 @@ impl CompareArguments {
             let message = format!("cannot open {}: {error}", path.display());
             Failure::of(Code::FileNotReadable, message)
         })?;
-        // Rows of week −1 are of the recording's week.
+        // Rows of the truth with week −1 belong to the week of the recording.
         let mut epoch = Epoch::new(GpsTime::EPOCH);
         if !Recording::open(inputs)?.read_epoch(&mut epoch)? {
             let name = inputs.rover.name().to_owned();

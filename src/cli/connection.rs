@@ -27,7 +27,7 @@ use super::trust::{TrustArguments, address, tls_failure};
 
 const FIRST_DELAY: Duration = Duration::from_millis(100);
 const LONGEST_DELAY: Duration = Duration::from_secs(5);
-/// A service that answers no ping within these times is taken for gone.
+/// A service that does not answer a ping within `PING_TIMEOUT` counts as gone.
 const PING_INTERVAL: Duration = Duration::from_secs(20);
 const PING_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -37,14 +37,14 @@ const CHUNK_BYTES: usize = 64 << 10;
 /// A file of a batch job.
 #[derive(Clone)]
 pub(super) struct JobFile {
-    /// What it is for: rover, navigation or base.
+    /// What the file is for: rover, navigation or base.
     pub(super) part: &'static str,
     pub(super) name: &'static str,
     pub(super) content: Vec<u8>,
 }
 
 impl JobFile {
-    /// The messages that bring it.
+    /// The messages that carry the file.
     fn messages(self) -> Vec<v1::CreateJobRequest> {
         use v1::create_job_request::Content;
         let (part, name) = (self.part.to_owned(), self.name.to_owned());
@@ -55,23 +55,23 @@ impl JobFile {
     }
 }
 
-/// A channel whose requests bring a key.
+/// A channel whose requests carry a key.
 type Wire = InterceptedService<Channel, Bearer>;
 
-/// A client of the calls that position.
+/// A client of the positioning calls.
 pub(super) type Positioning = PositioningClient<Wire>;
 
 /// A connection to a service.
 #[derive(Clone)]
 pub(super) struct Connection {
     channel: Wire,
-    /// Duration of the attempts to reach a service that does not answer.
+    /// How long attempts to reach a service go on while it does not answer.
     patience: Duration,
 }
 
 impl Connection {
-    /// A connection to the service at `server`, such as `http://127.0.0.1:8080`, whose requests
-    /// bring `key`; it connects when it is first used.
+    /// A connection to the service at `server`, such as `http://127.0.0.1:8080`. Its requests carry
+    /// `key`. It connects at its first use.
     ///
     /// # Errors
     /// `server` is not an address, `key` not a key, or a file of `trust` cannot be used.
@@ -208,7 +208,7 @@ impl Connection {
     ) -> Result<v1::Session, Failure> {
         let mut client = SessionsClient::new(self.channel.clone());
         let mut retry = self.retry();
-        // So that an attempt whose answer is lost opens no session of its own.
+        // With a request id, an attempt whose answer is lost opens no second session.
         let new = v1::CreateSessionRequest { request_id: Uuid::new_v4().to_string(), ..new };
         loop {
             let answer = match existing {
@@ -241,12 +241,12 @@ impl Connection {
         }
     }
 
-    /// A client of the calls that position.
+    /// A client of the positioning calls.
     pub(super) fn positioning(&self) -> Positioning {
         PositioningClient::new(self.channel.clone()).max_decoding_message_size(usize::MAX)
     }
 
-    /// Attempts that begin now.
+    /// The attempts of a call that begins now.
     pub(super) const fn retry(&self) -> Retry {
         Retry::new(self.patience)
     }

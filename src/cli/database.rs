@@ -19,7 +19,7 @@ use super::Failure;
 /// Longest file with a URL that is read (bytes).
 const FILE_BYTES: u64 = 4096;
 
-/// The arguments that name the service's database: its URL, or the file of it, or neither.
+/// The arguments that name the service's database: its URL, or the file with the URL, or neither.
 #[derive(Clone, Debug)]
 pub(super) struct DatabaseArgument {
     url: Option<String>,
@@ -49,7 +49,7 @@ impl Args for DatabaseArgument {
 }
 
 impl FromArgMatches for DatabaseArgument {
-    /// An argument of the command line comes before the other one's variable of the environment.
+    /// An argument on the command line takes precedence over the environment variable of the other.
     fn from_arg_matches(matches: &ArgMatches) -> Result<Self, clap::Error> {
         let Given { database: url, database_file: file } = Given::from_arg_matches(matches)?;
         let is_argument = |id| matches.value_source(id) == Some(ValueSource::CommandLine);
@@ -80,7 +80,7 @@ impl DatabaseArgument {
         Ok(Store::open_beside(&self.url()?, &app::random_node()).await?)
     }
 
-    /// Prefers this database to that of the configuration's file.
+    /// Replaces the database of the configuration file by this one, if one is given.
     pub(super) fn choose(self, configuration: &mut ServiceConfiguration) {
         if let Some(url) = self.url {
             (configuration.database, configuration.database_file) = (url, None);
@@ -104,7 +104,7 @@ impl DatabaseArgument {
     }
 }
 
-/// Reads the URL of the database from its file, if the configuration names one.
+/// Reads the URL of the database from the file that the configuration names, if it names one.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -115,7 +115,7 @@ pub(super) fn read_url(configuration: &mut ServiceConfiguration) -> Result<(), F
     Ok(())
 }
 
-/// The URL in a file, without blanks around it.
+/// The URL in a file, without white space around it.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -129,7 +129,7 @@ fn url_in(path: &Path) -> Result<String, Failure> {
     Ok(text.trim().to_owned())
 }
 
-/// Who works by a command, for the audit log.
+/// The author of a command's changes, for the audit log.
 pub(super) fn author() -> Author {
     let (actor, tenant) = (COMMAND_LINE.to_owned(), Tenant::operator());
     Author { actor, tenant, request: String::new(), node: app::host_name() }

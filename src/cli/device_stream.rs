@@ -1,5 +1,5 @@
-//! A device's stream of one session: sends within the credit, keeps what is not durable yet, and
-//! opens another stream where one ended.
+//! A device's stream of one session. It sends within the credit and keeps each message until it is
+//! durable. It opens another stream when one has ended.
 
 use std::collections::VecDeque;
 use std::future::pending;
@@ -19,13 +19,13 @@ use super::Failure;
 use super::cargo::{Amount, Answer, Cargo, Opening};
 use super::connection::{Connection, Retry};
 
-/// Messages between the device and its connection, at most.
+/// Largest number of messages in the queue between the device and its connection.
 const WAITING: usize = 512;
-/// Messages that wait for credit, at most, before a device reads on.
+/// Largest number of messages that wait for credit. A device with so many reads no more epochs.
 const AHEAD: usize = 8;
-/// Part of the service's patience after which a silent device sends a message without content.
+/// A silent device sends an empty message after this fraction of the service's idle time.
 const KEEP_OPEN: f64 = 0.3;
-/// Header that names the session to a balancer.
+/// Header that names the session to a load balancer.
 const SESSION: &str = "x-graphfix-session";
 
 /// The device's side of the streams of one session, one after another.
@@ -34,13 +34,13 @@ pub(super) struct DeviceStream<C: Cargo> {
     cargo: C,
     session: String,
     answers: v1::Answers,
-    /// What is neither durable nor refused yet, in the order in which it is sent.
+    /// Messages that are neither durable nor refused yet, in the order of sending.
     kept: VecDeque<Kept<C::Request>>,
     open: Option<Open<C>>,
-    /// An answer that has been received and not been returned.
+    /// An answer that was received and that `next` has not returned yet.
     ready: Option<Acknowledged>,
-    /// Number of the last answered epoch, 0 before the first. The answers after it are sent again
-    /// on the next stream.
+    /// Number of the last answered epoch, 0 before the first. On the next stream the service sends
+    /// the later answers again.
     answered: u64,
     retry: Retry,
     breaks: usize,
@@ -50,12 +50,12 @@ pub(super) struct DeviceStream<C: Cargo> {
 struct Kept<R> {
     request: R,
     amount: Amount,
-    /// It is settled once the service has stored or refused epochs, or stored bytes, up to this
-    /// number.
+    /// The message is settled when the service has stored or refused epochs, or stored bytes, up
+    /// to this number.
     through: u64,
-    /// Whether it has more than the messages before: the end of a receiver's stream may have not.
+    /// Whether `through` exceeds that of the message before. A receiver's last one may not.
     is_new: bool,
-    /// When it was due.
+    /// When the message was due.
     due: Instant,
 }
 
@@ -66,11 +66,11 @@ struct Open<C: Cargo> {
     answers: Streaming<C::Response>,
     credit: Amount,
     sent: Amount,
-    /// Number of kept messages that this stream has carried.
+    /// Number of messages in `kept` that this stream has sent.
     carried: usize,
     idle: Duration,
     last_sent: Instant,
-    /// Delay before the next stream, if the service stops.
+    /// Delay before the next stream, once the service has announced the end of this one.
     pause: Option<Duration>,
 }
 
@@ -78,20 +78,21 @@ struct Open<C: Cargo> {
 #[derive(Debug, Default)]
 pub(super) struct Acknowledged {
     pub(super) results: Vec<v1::StreamResult>,
-    /// Times from when each message was due to its acknowledgement.
+    /// For each message, the time from when it was due to its acknowledgement.
     pub(super) delays: Vec<Duration>,
 }
 
-/// What [`DeviceStream::next`] waited for.
+/// The result of [`DeviceStream::next`].
 pub(super) enum Next {
     Acknowledged(Acknowledged),
-    /// The time has come.
+    /// The time `due` has come before an answer.
     Due,
 }
 
 impl<C: Cargo> DeviceStream<C> {
-    /// The streams of a session; the first opens by [`Self::open`], or when something is sent.
-    /// `answered` is the number of the last epoch whose answer the device has, 0 if it has none.
+    /// The streams of a session. The first stream opens in [`Self::open`], or when the device
+    /// waits. `answered` is the number of the last epoch whose answer the device has, 0 if it has
+    /// none.
     pub(super) fn new(
         (connection, cargo): (&Connection, C),
         session: &str,
@@ -115,7 +116,7 @@ impl<C: Cargo> DeviceStream<C> {
     /// Opens the first stream.
     ///
     /// # Errors
-    /// As of [`Self::next`].
+    /// Those of [`Self::next`].
     pub(super) async fn open(&mut self) -> Result<(), Failure> {
         if self.open.is_none() { self.reopen().await } else { Ok(()) }
     }
@@ -125,14 +126,14 @@ impl<C: Cargo> DeviceStream<C> {
         self.kept.is_empty() && self.ready.is_none()
     }
 
-    /// Whether the service is not far behind, so that more should be sent.
+    /// Whether few messages wait for credit, so that the device should send more.
     pub(super) fn has_room(&self) -> bool {
         let carried = self.open.as_ref().map_or(0, |open| open.carried);
         self.kept.len() - carried < AHEAD
     }
 
-    /// Sends a message of `count` epochs or chunks, which was due at `due`, as soon as the credit
-    /// allows it. It is durable when the service has stored epochs, or bytes, up to `through`.
+    /// Sends a message of `count` epochs or chunks as soon as the credit allows it. The message was
+    /// due at `due`. It is durable when the service has stored epochs, or bytes, up to `through`.
     pub(super) fn send(&mut self, request: C::Request, count: u64, through: u64, due: Instant) {
         let amount = Amount { count, bytes: request.encoded_len() as u64 };
         let is_new = self.kept.back().is_none_or(|last| last.through < through);
@@ -140,11 +141,11 @@ impl<C: Cargo> DeviceStream<C> {
         self.transmit();
     }
 
-    /// The next answer, or [`Next::Due`] at `due` if none comes before. After a break it first
-    /// opens another stream, however long this takes.
+    /// The next answer, or [`Next::Due`] at `due` if no answer comes before. After a break the
+    /// device first opens another stream, however long this takes.
     ///
     /// # Errors
-    /// The service refuses the stream, or does not answer again.
+    /// The service refuses the stream, or does not come back.
     pub(super) async fn next(&mut self, due: Option<Instant>) -> Result<Next, Failure> {
         loop {
             if self.open.is_none() && !self.kept.is_empty() {
@@ -176,7 +177,7 @@ impl<C: Cargo> DeviceStream<C> {
     /// Waits until everything is durable or refused, and hands each answer to `count`.
     ///
     /// # Errors
-    /// As of [`Self::next`].
+    /// Those of [`Self::next`].
     pub(super) async fn settle(
         &mut self,
         mut count: impl FnMut(Acknowledged),
@@ -189,11 +190,11 @@ impl<C: Cargo> DeviceStream<C> {
         Ok(())
     }
 
-    /// Waits until everything is durable or refused, closes this side, and reads the last answers.
-    /// Returns how many streams ended before.
+    /// Waits until everything is durable or refused, closes the device's side, and reads the last
+    /// answers. Returns how many streams ended before.
     ///
     /// # Errors
-    /// As of [`Self::next`].
+    /// Those of [`Self::next`].
     pub(super) async fn close(
         mut self,
         mut count: impl FnMut(Acknowledged),
@@ -212,7 +213,7 @@ impl<C: Cargo> DeviceStream<C> {
         Ok(breaks)
     }
 
-    /// Sends what the credit allows.
+    /// Sends the kept messages that the credit allows.
     fn transmit(&mut self) {
         let Some(open) = &mut self.open else { return };
         while let Some(kept) = self.kept.get(open.carried) {
@@ -264,7 +265,8 @@ impl<C: Cargo> DeviceStream<C> {
         Ok(answer)
     }
 
-    /// A message that exceeds the credit of a new stream could never be sent.
+    /// Refuses to go on if the first message exceeds the credit of a new stream: the service would
+    /// never take it.
     fn check_credit(&self) -> Result<(), Failure> {
         let (Some(open), Some(first)) = (&self.open, self.kept.front()) else { return Ok(()) };
         if open.pause.is_some() || first.amount.is_within(open.credit) {
@@ -275,7 +277,7 @@ impl<C: Cargo> DeviceStream<C> {
         Err(Failure::new(Code::CreditExceeded, message, "raise limits.stream_bytes there"))
     }
 
-    /// Drops what is settled, and sends what the credit allows.
+    /// Takes an answer: drops the settled messages, and sends what the credit allows.
     fn take(&mut self, answer: Answer, is_first: bool) -> Acknowledged {
         let now = Instant::now();
         let mut acknowledged = Acknowledged { results: answer.results, ..Default::default() };
@@ -302,14 +304,14 @@ impl<C: Cargo> DeviceStream<C> {
         acknowledged
     }
 
-    /// The service has ended the stream, as one that stops does.
+    /// Waits after the service has ended the stream without an error, as it does before it stops.
     async fn after_end(&mut self) {
         self.breaks += 1;
         let pause = self.open.take().and_then(|open| open.pause);
         sleep(pause.unwrap_or_default()).await;
     }
 
-    /// The stream has ended with an error.
+    /// Waits after the stream has ended with an error.
     async fn after_break(&mut self, status: &Status) -> Result<(), Failure> {
         self.breaks += 1;
         match self.open.take().and_then(|open| open.pause) {
@@ -338,12 +340,12 @@ impl<C: Cargo> Open<C> {
     fn keep_open(&mut self) {
         let empty = C::Request::default();
         self.try_send(&empty, Amount { count: 0, bytes: empty.encoded_len() as u64 });
-        // Also if it was not sent: then the credit is used up, and answers are due.
+        // Also if the message was not sent: the credit is used up then, so an answer will come.
         self.last_sent = Instant::now();
     }
 }
 
-/// Waits until then, or for ever.
+/// Waits until `due`, or for ever without a time.
 async fn at(due: Option<Instant>) {
     match due {
         Some(due) => sleep_until(due).await,

@@ -89,7 +89,7 @@ impl std::str::FromStr for Triple {
     }
 }
 
-/// The JSON answer: the report under the name of its file.
+/// The JSON output: the report under the name of its file.
 #[derive(Serialize)]
 struct Answer<'a> {
     file: String,
@@ -172,7 +172,7 @@ fn rover_epochs(path: &Path) -> Result<Vec<GpsTime>, Failure> {
     while reader.read_epoch(&mut epoch).map_err(|error| unreadable(path, &error))? {
         times.push(epoch.time);
     }
-    // The epochs after it are missing, and would not be expected.
+    // The epochs after the damage are missing from the list, and would not be expected.
     if let Some(damage) = reader.left_out().damage {
         let message = format!("{}: {damage}", path.display());
         return Err(Failure::of(Code::FileMalformed, message));

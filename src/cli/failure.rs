@@ -14,15 +14,15 @@ pub(crate) struct Failure {
 }
 
 impl Failure {
-    /// From a code, what is wrong, and the remedy in terms of the command's arguments.
+    /// A failure with a code, what is wrong, and the remedy in terms of the command's arguments.
     pub(crate) fn new(code: Code, message: impl fmt::Display, remedy: impl fmt::Display) -> Self {
         Self { code, message: message.to_string(), remedy: remedy.to_string() }
     }
 
-    /// From a code with its own remedy, as a command has it.
+    /// A failure with the standard remedy of its code, put in terms of a command.
     pub(crate) fn of(code: Code, message: impl fmt::Display) -> Self {
         let remedy = match code {
-            // No request can be sent again.
+            // The standard remedy is to send the request again. A command has no request.
             Code::DatabaseFailed => "check the URL, and that the database exists and answers",
             code => code.remedy(),
         };

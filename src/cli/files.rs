@@ -62,7 +62,7 @@ impl FromStr for StartTime {
 }
 
 impl TimeArguments {
-    /// The reference time that the arguments give.
+    /// The reference time from the arguments.
     pub(crate) fn reference(&self) -> Option<TimeReference> {
         let middle = |week: i64| {
             let week = i32::try_from(week).expect("the parser bounds it");

@@ -49,7 +49,7 @@ enum Answer {
         ready: bool,
         problems: Vec<String>,
     },
-    /// A refusal, for instance of the name.
+    /// Error code of a refusal, for instance of the host name.
     Problem {
         code: String,
         detail: String,

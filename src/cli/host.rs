@@ -52,7 +52,7 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
     Ok(())
 }
 
-/// The name of the node at the beginning of a line.
+/// Puts the name of the node at the beginning of a line.
 fn mark(node: &str, is_json: bool) -> String {
     match is_json {
         true => format!("{{\"node\":{},", serde_json::Value::from(node)),
@@ -60,7 +60,8 @@ fn mark(node: &str, is_json: bool) -> String {
     }
 }
 
-/// Standard error, where each line names the node. A line is one call of `write`.
+/// A writer on standard error that puts the node's name before each line. One call of `write`
+/// writes one line.
 struct NodeWriter {
     mark: String,
 }

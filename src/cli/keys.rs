@@ -19,7 +19,7 @@ const MS_PER_HOUR: i64 = 3_600_000;
 const MS_PER_DAY: i64 = 24 * MS_PER_HOUR;
 /// Keys read at a time.
 const PAGE: usize = 1000;
-/// Longest times, so that no sum of times is out of range: a century.
+/// Largest times: a century. They keep each sum of times in range.
 const DAYS_MAX: u32 = 36_500;
 const HOURS_MAX: u32 = 24 * DAYS_MAX;
 
@@ -99,10 +99,10 @@ fn hours() -> clap::builder::RangedI64ValueParser<u32> {
     clap::value_parser!(u32).range(0..=i64::from(HOURS_MAX))
 }
 
-/// Does one act.
+/// Does what one subcommand asks.
 ///
 /// # Errors
-/// The database cannot be opened, or the act is refused.
+/// The database cannot be opened, or the change is refused.
 pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
     let text = host::block_on(async {
         let store = arguments.database.open().await?;
@@ -115,7 +115,7 @@ pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Does one act; returns what to print.
+/// Does what one subcommand asks; returns the text to print.
 async fn act(store: &Store, act: Act) -> Result<String, KeyError> {
     let keys = KeyRegistry::new(store.clone());
     let lifetime_ms = |days: Option<u32>| days.map(|days| i64::from(days) * MS_PER_DAY);
@@ -141,7 +141,7 @@ async fn act(store: &Store, act: Act) -> Result<String, KeyError> {
     }
 }
 
-/// A new key. The secret is the last line, so that scripts find it.
+/// Creates a key. The secret is the last line of the text, so that scripts find it.
 fn shown(created: Created) -> String {
     let Created { key, secret } = created;
     let end = key

@@ -91,7 +91,7 @@ impl Command {
     }
 }
 
-/// Runs the command that `arguments` name, the program's own name first.
+/// Runs the command in `arguments`. The first argument is the name of the program.
 ///
 /// Exit codes: 0 done, 1 the command failed, 2 the command line was not understood.
 pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {

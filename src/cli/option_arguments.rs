@@ -22,7 +22,7 @@ pub(crate) struct OptionArguments {
 }
 
 impl OptionArguments {
-    /// The options given, for a recording with or without a base.
+    /// The options from the arguments, for a recording with or without a base.
     pub(crate) fn options(&self, has_base: bool) -> Result<PositioningOptions, Failure> {
         let standard = Mode::of_recording(has_base);
         let mode = self.mode.as_deref().map_or(Ok(standard), Mode::parse)?;
@@ -50,7 +50,7 @@ pub(crate) fn assignments(set: &[String]) -> Result<Vec<(&str, &str)>, Failure> 
     Ok(all)
 }
 
-/// Refuses options of what is given out, for a command that gives positions as they are computed.
+/// Refuses options of the presentation, for a command that gives positions as they are computed.
 ///
 /// # Errors
 /// Such an option is set.

@@ -25,7 +25,8 @@ pub(super) fn parse_speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Counts, shown each second on a terminal, else as a line every ten seconds, and at the end.
+/// Counts of a played file. It shows them each second on a terminal, or each ten seconds as a line
+/// elsewhere, and at the end.
 pub(super) struct Progress {
     start: Instant,
     shown: Instant,

@@ -65,13 +65,13 @@ impl RecordingArguments {
         self.base.is_some()
     }
 
-    /// All files that they name.
+    /// All files that the arguments name.
     pub(crate) fn files(&self) -> impl Iterator<Item = &Path> {
         let aiding = self.nav.iter().chain(&self.antex).chain(&self.odometry);
         std::iter::once(&self.rover).chain(&self.base).chain(aiding).map(PathBuf::as_path)
     }
 
-    /// The inputs that they name.
+    /// The inputs that the arguments name.
     pub(crate) fn inputs(&self) -> RecordingInputs {
         let input = |path: &PathBuf| files::input(path);
         RecordingInputs {

@@ -78,7 +78,7 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
 }
 
 impl ReplayArguments {
-    /// The options that differ from the session's, if any.
+    /// The changed options, if there are any.
     fn change(&self) -> Result<Option<SolveRequest>, Failure> {
         check_as_computed(&self.set)?;
         let mut overrides = BTreeMap::new();
@@ -104,7 +104,7 @@ fn verdict(id: &SessionId, check: &Check) -> Result<String, Failure> {
     Err(Failure::of(Code::ReplayDiffers, message))
 }
 
-/// A line that states where a replay begins, if not with the session.
+/// A line that states after which epoch a replay begins, if it does not begin with the session.
 fn beginning(began_after: Option<u64>) -> String {
     began_after.map_or_else(String::new, |after| {
         format!(

@@ -36,7 +36,7 @@ enum Act {
     },
 }
 
-/// Does one act.
+/// Does what one subcommand asks.
 ///
 /// # Errors
 /// The database cannot be opened, or fails.
@@ -52,10 +52,10 @@ pub(super) fn run(arguments: SecretsArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Does one act; returns what to print.
+/// Does what one subcommand asks; returns the text to print.
 ///
 /// # Errors
-/// No secret is stored under the key that is to be given up, or the database fails.
+/// No secret is stored under the key that is to be forgotten, or the database fails.
 async fn act(store: &Store, act: Act) -> Result<String, Failure> {
     match act {
         Act::List => {

@@ -14,7 +14,7 @@ use crate::refusal::Code;
 use super::database::{DatabaseArgument, read_url};
 use super::{Failure, host};
 
-/// Variable with the key of stored secrets.
+/// Environment variable with the key that encrypts stored secrets.
 const SECRETS_KEY: &str = "GRAPHFIX_SECRETS_KEY";
 
 /// Runs the service until it is interrupted.
@@ -106,7 +106,7 @@ pub(super) struct ServeArguments {
 }
 
 impl ServeArguments {
-    /// The configuration of file and arguments, checked.
+    /// The configuration from the file and the arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
         let mut configuration = configuration_of(self.config.as_deref())?;
         configuration.listen = self.listen.unwrap_or(configuration.listen);
@@ -122,7 +122,7 @@ impl ServeArguments {
         let secrets = &mut configuration.secrets;
         secrets.key_file = self.secrets_key_file.or(secrets.key_file.take());
         secrets.former_key_files.extend(self.secrets_former_key_file);
-        // Not an argument, as everybody on the machine sees those.
+        // The key is no argument, because everybody on the machine sees arguments.
         secrets.key = std::env::var(SECRETS_KEY).ok().filter(|key| !key.is_empty());
         let cluster = &mut configuration.cluster;
         cluster.address = self.cluster.unwrap_or(std::mem::take(&mut cluster.address));
@@ -137,7 +137,7 @@ impl ServeArguments {
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         if configuration.node.is_empty() {
-            configuration.node = app::random_node(); // For the log, too.
+            configuration.node = app::random_node(); // The log needs the name, too.
         }
         configuration.check()?;
         read_url(&mut configuration)?;
@@ -162,7 +162,7 @@ pub(super) fn configuration_of(file: Option<&Path>) -> Result<ServiceConfigurati
     Ok(configuration)
 }
 
-/// The credentials of an S3 service in the environment, under the names of its other clients.
+/// The credentials of an S3 service in the environment, in the variables that other S3 clients use.
 fn s3_keys() -> Option<S3Keys> {
     let value = |name| std::env::var(name).ok().filter(|value| !value.is_empty());
     Some(S3Keys {
@@ -175,8 +175,8 @@ fn s3_keys() -> Option<S3Keys> {
 /// Runs the service.
 ///
 /// # Errors
-/// The configuration is refused, the address is in use, others can reach it without a key or TLS,
-/// or the database cannot be opened or was another service's meanwhile.
+/// The configuration is refused, the address is in use, or others can reach it without a key or
+/// TLS. The database cannot be opened, or another service has taken it meanwhile.
 pub(super) fn run(arguments: ServeArguments) -> Result<(), Failure> {
     let configuration = arguments.configuration()?;
     host::start_log(&configuration)?;

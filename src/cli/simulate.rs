@@ -28,7 +28,7 @@ const FILES: [&str; 7] = [
     "truth.csv",
     "README.txt",
 ];
-/// Longest simulation and shortest interval, which bound the size of the files.
+/// Longest simulation and shortest interval. They bound the size of the files.
 const LONGEST_S: f64 = SECONDS_PER_WEEK;
 const SHORTEST_INTERVAL_S: f64 = 0.01;
 /// A longer baseline would put the base below the rover's horizon.

@@ -108,7 +108,7 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
 }
 
 impl SolveArguments {
-    /// The options given, with `--window`.
+    /// The options from the arguments, with `--window`.
     fn options(&self) -> Result<PositioningOptions, Failure> {
         let mut options = self.options.options(self.recording.has_base())?;
         if !options.mode.has_window() && (self.window.is_some() || self.smoothed) {
@@ -189,7 +189,7 @@ impl SolveArguments {
     }
 }
 
-/// What was asked for, and with which files.
+/// The rows of the report about what was computed and from which files.
 fn facts(
     inputs: &RecordingInputs,
     options: &PositioningOptions,
@@ -220,7 +220,7 @@ fn ending(path: &Path) -> &str {
     path.extension().and_then(|ending| ending.to_str()).unwrap_or_default()
 }
 
-/// The file beside a rover's observations, with `.pos` in place of the ending (and of `.gz`).
+/// The path beside the rover's observations, with `.pos` in place of the ending (and of `.gz`).
 fn beside(rover: &Path) -> PathBuf {
     let packed = rover.extension().is_some_and(|ending| ending == "gz");
     let named = if packed { rover.with_extension("") } else { rover.to_owned() };
@@ -253,16 +253,16 @@ pub(super) fn create(
     file.map_err(|error| unwritable(path, &error))
 }
 
-/// The output.
+/// What the command writes.
 enum Output {
-    /// Positions, as they come.
+    /// Positions, each as soon as it is computed.
     Positions(SolutionWriter<BufWriter<File>>),
-    /// The rover's observations, at the end.
+    /// The rover's observations, written at the end.
     Observations(BufWriter<File>),
 }
 
 impl Output {
-    /// Writes one solution. Returns why its position is not in the frame that is asked for.
+    /// Writes one solution. Returns why its position is not in the requested frame, if it is not.
     fn write(&mut self, solution: &Solution) -> io::Result<Option<FrameRefusal>> {
         match self {
             Self::Positions(writer) => writer.write(solution),
@@ -270,7 +270,7 @@ impl Output {
         }
     }
 
-    /// Completes the file. `position` is the rover's first one (m).
+    /// Completes the file. `position` is the rover's first position (m).
     fn finish(
         self,
         (path, recording): (&Path, &Recording<'_>),

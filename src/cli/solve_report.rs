@@ -10,7 +10,7 @@ use crate::refusal::Code;
 
 use super::Failure;
 
-/// A report that is being made.
+/// A report to which solutions are added.
 pub(super) struct SolveReport {
     path: PathBuf,
     overview: Overview,
@@ -34,7 +34,7 @@ impl SolveReport {
         self.overview.add(solution);
     }
 
-    /// Writes the page. `facts` have names and values of what the run was.
+    /// Writes the page. `facts` are names and values that describe the run.
     ///
     /// # Errors
     /// The file cannot be written.

@@ -223,8 +223,8 @@ impl Rover {
         Ok(batch)
     }
 
-    /// Says what was left out of the file: parts that cannot be read, and what is missing where its
-    /// gzip stream ends early.
+    /// Prints what was skipped in the file: parts that cannot be read, and what is missing because
+    /// its gzip stream ends early.
     fn report(&self) {
         for line in self.reader.left_out().to_string().lines() {
             eprintln!("{}: {line}", self.path.display());

@@ -22,7 +22,7 @@ use super::progress::{Progress, Speed};
 
 /// Bytes of a chunk at full speed.
 const CHUNK_BYTES: usize = 64 << 10;
-/// Bytes of a chunk that is searched for the end of an epoch; an epoch has more.
+/// Bytes of a chunk that is searched for the end of an epoch. An epoch has more bytes than this.
 const PACE_BYTES: usize = 256;
 
 /// A receiver's file that is being sent.
@@ -40,7 +40,8 @@ enum Pace {
 }
 
 impl Pace {
-    /// The time of the last epoch that `bytes` complete. The service reports what it refuses.
+    /// The time of the last epoch that `bytes` complete. Errors in the bytes are left to the
+    /// service.
     fn push(&mut self, bytes: &[u8]) -> Option<GpsTime> {
         match self {
             Self::Receiver(decoder) => {
@@ -61,7 +62,7 @@ impl Pace {
 }
 
 impl<'a> Bytestream<'a> {
-    /// The file after its first `skipped` bytes; `near` dates data without a GPS week.
+    /// Opens the file after its first `skipped` bytes. `near` dates data without a GPS week.
     pub(super) fn open(
         (path, format): (&'a Path, FileFormat),
         skipped: u64,

@@ -59,7 +59,7 @@ fn number(text: &str) -> Result<f64, String> {
     is_quota.then_some(number).ok_or_else(|| "a quota is from 0 to 9e15".to_owned())
 }
 
-/// Does one act.
+/// Does what one subcommand asks.
 ///
 /// # Errors
 /// The database cannot be opened, or the store fails.
@@ -81,7 +81,7 @@ pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Does one act; returns what to print.
+/// Does what one subcommand asks; returns the text to print.
 async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
     match act {
         Act::Set { tenant, sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } => {
@@ -105,7 +105,7 @@ async fn act(tenants: &TenantQuotas, act: Act) -> Result<String, QuotaError> {
     }
 }
 
-/// A tenant as a line. What it uses at present only its service knows.
+/// A line about a tenant. It has no present rates: only the running service knows these.
 fn line(info: &TenantInfo) -> String {
     let TenantInfo { tenant, quotas, stored, .. } = info;
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;

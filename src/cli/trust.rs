@@ -1,4 +1,4 @@
-//! Arguments of commands that call a service: what they trust, and how they prove who they are.
+//! Arguments of commands that call a service: the authorities they trust, and their certificate.
 
 use std::error::Error;
 use std::io;
@@ -12,7 +12,7 @@ use crate::tls::{ClientFiles, ClientTls, TlsError};
 
 use super::Failure;
 
-/// How rustls begins its message of a peer's alert; its name follows.
+/// Beginning of rustls's message about an alert of the peer; the name of the alert follows.
 const ALERT: &str = "received fatal alert: ";
 
 /// Files for addresses that begin with https://.
@@ -45,7 +45,7 @@ pub(super) fn address(text: &str) -> Result<Url, String> {
     text.parse().map_err(|_| format!("{text:?} is not an address such as http://127.0.0.1:8080"))
 }
 
-/// Why client and service do not agree on TLS, if that is among the causes of an error.
+/// Why client and service do not agree on TLS, if TLS is among the causes of an error.
 pub(super) fn tls_failure(error: &(dyn Error + 'static)) -> Option<Failure> {
     let mut causes = successors(Some(error), |error: &&(dyn Error + 'static)| (*error).source());
     causes.find_map(|cause| {
@@ -53,8 +53,8 @@ pub(super) fn tls_failure(error: &(dyn Error + 'static)) -> Option<Failure> {
         if let Some(error) = inner.and_then(|inner| inner.downcast_ref::<TlsError>()) {
             return Some(error.clone().into());
         }
-        // A service refuses a client's certificate after its own part of the handshake, so that the
-        // error is one of HTTP/2, which keeps the words only.
+        // The service refuses a client's certificate after the client has finished its handshake.
+        // The client then has an error of HTTP/2, which keeps only the text of the cause.
         let text = cause.to_string();
         let (_, alert) = text.split_once(ALERT)?;
         let alert = alert.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default();

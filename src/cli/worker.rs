@@ -17,7 +17,7 @@ use super::database::{DatabaseArgument, read_url};
 use super::serve::configuration_of;
 use super::{Failure, host};
 
-/// Least memory of a worker (MB): its own, without a job.
+/// Least memory of a worker (MB): what its process needs without a job.
 const MEMORY_MIN_MB: i64 = 64;
 /// The niceness of a process to which the system prefers all others.
 const LOWEST_PRIORITY: u8 = 19;
@@ -60,7 +60,7 @@ pub(super) struct WorkerArguments {
 }
 
 impl WorkerArguments {
-    /// The configuration of file and arguments, checked.
+    /// The configuration from the file and the arguments, checked.
     fn configuration(self) -> Result<ServiceConfiguration, Failure> {
         let mut configuration = configuration_of(self.config.as_deref())?;
         self.database.choose(&mut configuration);
@@ -70,7 +70,7 @@ impl WorkerArguments {
         configuration.log.filter = self.log.unwrap_or(configuration.log.filter);
         configuration.log.json |= self.log_json;
         if configuration.node.is_empty() {
-            configuration.node = app::random_node(); // For the log, too.
+            configuration.node = app::random_node(); // The log needs the name, too.
         }
         configuration.check()?;
         read_url(&mut configuration)?;
@@ -81,8 +81,8 @@ impl WorkerArguments {
 /// Runs jobs until it is interrupted.
 ///
 /// # Errors
-/// The configuration is refused, the memory cannot be limited, or the database or the folder is not
-/// that of a service on Postgres.
+/// The configuration is refused, or the memory cannot be limited. The database or the folder is
+/// not that of a service on Postgres.
 pub(super) fn run(arguments: WorkerArguments) -> Result<(), Failure> {
     let (memory_mb, niceness) = (arguments.memory, arguments.nice);
     limit(memory_mb)?;
@@ -102,10 +102,10 @@ pub(super) fn run(arguments: WorkerArguments) -> Result<(), Failure> {
     })
 }
 
-/// Limits the memory of this process: starts the program again, under the limit.
+/// Limits the memory of this process: it starts the program again, under the limit.
 ///
-/// An allocator reserves memory at its first allocation. What it reserves before there is a limit
-/// could not be limited any more.
+/// A limit must be there before the first allocation. The allocator reserves memory then, and a
+/// later limit would not cover it.
 fn limit(memory_mb: u64) -> Result<(), Failure> {
     let bytes = Some(memory_mb.saturating_mul(1 << 20));
     let limits = Rlimit { current: bytes, maximum: bytes };

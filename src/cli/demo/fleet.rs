@@ -15,7 +15,7 @@ use crate::contract::{convert, v1};
 use crate::gnss::{Ecef, Geodetic, GpsTime, LocalFrame, Navigation};
 use crate::simulation::{Scenario, SimulatedEpoch, Simulator};
 
-/// Part of the drive after which the device that gets lost falls silent.
+/// Fraction of the drive after which the courier sends nothing more.
 const LOST_AFTER: f64 = 0.4;
 /// Distance of the first device from the middle of the fleet (m); the others are farther out.
 const SPREAD_M: f64 = 900.0;
@@ -29,7 +29,7 @@ pub(super) enum Sky {
     Urban,
 }
 
-/// What a device is, and how it is positioned.
+/// The kind of a device. It decides how the device is positioned.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
     /// Relative to a base 8 km away, under open sky: mostly fixed.
@@ -40,9 +40,9 @@ pub(super) enum Kind {
     Van,
     /// Single-point positioning under open sky.
     Tracker,
-    /// A surveyor whose base falls silent for a part of every minute.
+    /// A surveyor whose base sends nothing for a part of every minute and a half.
     Tractor,
-    /// Factor graph under open sky; falls silent on the way.
+    /// Factor graph under open sky; it sends nothing more after a fraction of the drive.
     Courier,
 }
 
@@ -88,7 +88,7 @@ impl Kind {
         }
     }
 
-    /// Whether the base's epoch reaches the service, by its number.
+    /// Whether the base's epoch of this number reaches the service.
     const fn receives_base(self, number: usize) -> bool {
         !matches!(self, Self::Tractor) || number % 90 < 50
     }
@@ -101,11 +101,11 @@ pub(super) struct Plan {
     pub(super) seed: u64,
     /// Time tag of the first epoch.
     pub(super) start: GpsTime,
-    /// Duration of the drive that is reported (s).
+    /// Duration of the first part of the drive, which is reported (s).
     pub(super) duration_s: f64,
-    /// Duration of the drive that follows in real time (s).
+    /// Duration of the second part of the drive, in real time (s).
     pub(super) live_s: f64,
-    /// Speed of the former relative to real time.
+    /// Speed of the first part relative to real time.
     pub(super) speed: f64,
 }
 
@@ -137,7 +137,7 @@ impl Plan {
         Scenario { start: self.start, duration_s, origin, ..scenario }
     }
 
-    /// When the epoch of this time since the first is due, since the start.
+    /// Delay from the start until an epoch is due. The epoch is `elapsed_s` later than the first.
     fn due(&self, elapsed_s: f64) -> Duration {
         let fast_s = elapsed_s.min(self.duration_s);
         Duration::from_secs_f64(fast_s / self.speed + (elapsed_s - fast_s))
@@ -200,7 +200,7 @@ pub(super) async fn drive(
         device.settle(|answer| answers.push(answer)).await?;
         let Some(reports) = &reports else { continue };
         for report in answers.iter().flat_map(|answer| reports_of(&plan, answer, position)) {
-            // An error means that nobody watches any more.
+            // An error means that the table is closed.
             reports.send(report).await.ok();
         }
     }

@@ -91,7 +91,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     played
 }
 
-/// Drives the fleet and shows its errors; then it drives on until interrupted, or exits.
+/// Drives the fleet and shows its errors. Then the fleet drives on until interrupted, or exits.
 async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     let trust = TrustArguments::default();
     let connection = Connection::to(server, None, &trust, Duration::from_secs(10))?;
@@ -106,7 +106,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     let ephemerides = connection.push_navigation_bytes(rinex.into()).await?;
     println!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
 
-    // Its run gives way to the fleet.
+    // The computation of this batch job gives way to that of the fleet's epochs.
     let survey = (!arguments.exit).then(|| {
         let (connection, navigation) = (connection.clone(), navigation.clone());
         tokio::spawn(survey::submit(connection, start, arguments.seed, navigation))
@@ -141,7 +141,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Time tag of the first epoch: at the summary, the fleet has reached the present.
+/// Time tag of the first epoch. It makes the epochs reach the present at the summary.
 fn start(arguments: &DemoArguments) -> GpsTime {
     let since_1970 = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
     let unix_ms = i64::try_from(since_1970.as_secs() * 1000).unwrap_or(0);

@@ -76,7 +76,7 @@ impl Table {
         }
         text += &format!("\x1b[2K{}\n", self.progress());
         let mut output = std::io::stdout().lock();
-        // An error means that nobody looks any more.
+        // An error means that standard output is closed.
         output.write_all(text.as_bytes()).and_then(|()| output.flush()).ok();
         self.drawn = Some(Instant::now());
     }

@@ -19,13 +19,13 @@ pub(super) struct Device {
     pub(super) connection: Connection,
 }
 
-/// What a device has sent, and what it was answered.
+/// What a device has sent, and what the service has answered.
 #[derive(Debug, Default)]
 pub(super) struct Sent {
     pub(super) session: String,
-    /// Whether each epoch is acknowledged, by its number less one.
+    /// Whether each epoch is acknowledged; the index is the epoch's number less one.
     pub(super) acknowledged: Vec<bool>,
-    /// Answers to epochs that were answered before.
+    /// Answers to epochs that the service had answered before.
     pub(super) repeated: usize,
     /// Delays of the messages (ms).
     pub(super) delays_ms: Vec<f32>,
@@ -91,7 +91,7 @@ impl Device {
         let permit = beginning.opening.acquire().await;
         let opened = stream.open().await;
         drop(permit);
-        let begin = beginning.at().await; // Also if it is not open: the others wait for it.
+        let begin = beginning.at().await; // Also after an error: the other devices wait.
         opened?;
         for (number, (request, through)) in messages.enumerate() {
             let due = begin + due(number);

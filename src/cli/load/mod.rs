@@ -103,7 +103,7 @@ fn mode(text: &str) -> Result<Mode, String> {
 /// Runs the load.
 ///
 /// # Errors
-/// The service is not reached, refuses a session, or has lost or doubled an epoch.
+/// The service cannot be reached, refuses a session, or has lost or doubled an epoch.
 pub(super) fn run(arguments: LoadArguments) -> Result<(), Failure> {
     host::block_on(load(arguments))
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::{Barrier, Semaphore};
 use tokio::time::Instant;
 
-/// From when the last stream is open to the beginning.
+/// Delay from when the last stream is open to the common beginning.
 const LEAD: Duration = Duration::from_secs(1);
 
 /// When devices send.
@@ -19,7 +19,7 @@ pub(super) struct Schedule {
 }
 
 impl Schedule {
-    /// `rate_hz` epochs in a second for `duration_s` seconds, at least one.
+    /// A schedule of `rate_hz` epochs a second for `duration_s` seconds, with one epoch at least.
     pub(super) fn new(rate_hz: f64, duration_s: u32) -> Self {
         let epochs = (rate_hz * f64::from(duration_s)).floor().max(1.0);
         Self { interval_s: 1.0 / rate_hz, epochs: epochs as usize }
@@ -35,20 +35,21 @@ impl Schedule {
 
 /// The common beginning of all devices, once each has opened its stream.
 pub(super) struct Beginning {
-    /// Permits to open a stream.
+    /// Permits to open a stream, which bound how many devices do so at the same time.
     pub(super) opening: Semaphore,
     opened: Barrier,
     at: OnceLock<Instant>,
 }
 
 impl Beginning {
-    /// For this many devices, and one who waits for them; so many open their streams `at_once`.
+    /// For `devices` devices and one more task that waits for them. At most `at_once` devices open
+    /// their streams at the same time.
     pub(super) fn new(devices: usize, at_once: usize) -> Self {
         let (opening, opened) = (Semaphore::new(at_once), Barrier::new(devices + 1));
         Self { opening, opened, at: OnceLock::new() }
     }
 
-    /// When all devices begin. Each of them waits for the others here.
+    /// When all devices begin. This waits until each device has called it.
     pub(super) async fn at(&self) -> Instant {
         self.opened.wait().await;
         *self.at.get_or_init(|| Instant::now() + LEAD)
@@ -59,7 +60,7 @@ impl Beginning {
 mod tests {
     use super::*;
 
-    /// Nobody begins before the last one is there, and all begin at the same time.
+    /// No device begins before the last one has called `at`, and all begin at the same time.
     #[tokio::test]
     async fn devices_begin_together() {
         let beginning = Beginning::new(2, 1);

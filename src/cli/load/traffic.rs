@@ -15,7 +15,7 @@ use crate::simulation::{Scenario, Simulator};
 
 use super::schedule::Schedule;
 
-/// The devices begin at this many different epochs of the drive.
+/// Number of different epochs of the drive at which the devices begin.
 const OFFSETS: usize = 60;
 /// Epochs of a base in one push.
 const BASE_BATCH: usize = 200;
@@ -28,7 +28,7 @@ pub(super) enum Content {
     Raw(Vec<Bytes>),
 }
 
-/// What all devices and their base observe.
+/// The observations that all devices and their base send.
 pub(super) struct Traffic {
     pub(super) content: Content,
     /// RINEX navigation file.
@@ -86,7 +86,7 @@ impl Traffic {
         Ok(Self { content, navigation: navigation.into(), base, observations, has_one_band })
     }
 
-    /// What is sent, for people.
+    /// A description of the messages, for people.
     pub(super) fn description(&self) -> String {
         let (what, count) = match &self.content {
             Content::Epochs(epochs) => ("messages", epochs.len()),
