@@ -304,7 +304,7 @@ export async function readiness(signal?: AbortSignal): Promise<Readiness> {
   try {
     return (await response.json()) as Readiness;
   } catch {
-    throw UNREACHABLE; // Something else answers, such as a proxy.
+    throw UNREACHABLE; // An answer of something else, such as a proxy.
   }
 }
 
@@ -320,10 +320,10 @@ export interface SignInState {
   expiresUtc?: string;
 }
 
-/** What a change needs beside the cookie; it is worth nothing without it. */
+/** The token that a change needs beside the cookie. Without the cookie it is worth nothing. */
 let csrfToken = "";
 
-/** The header of a change that is made by the cookie. */
+/** The header of a change in a browser that is signed in by a cookie. */
 export const csrfHeader = (): Record<string, string> => (csrfToken ? { "x-graphfix-csrf": csrfToken } : {});
 
 function noted(state: SignInState): SignInState {
@@ -375,7 +375,7 @@ export interface SeriesRequest {
   revisions: "first" | "last";
 }
 
-/** The residuals of an epoch's used satellites, each against the median of its constellation. */
+/** The residuals of an epoch's used satellites, each less the median of its constellation. */
 export interface ResidualPoint {
   seq: number;
   time: GpsTime;
@@ -384,7 +384,7 @@ export interface ResidualPoint {
   /** Null where too few satellites have a residual. */
   rmsM: number | null;
   largestM: number | null;
-  /** Empty without any. */
+  /** Empty if no satellite has a residual. */
   largestSatellite: string;
 }
 
@@ -418,7 +418,7 @@ export async function series(
     whole = whole ? joined(whole, page) : page;
     if (!page.nextPageToken) return whole;
     query.set("pageToken", page.nextPageToken);
-    // The span of the first page, so that an epoch that arrives meanwhile moves no interval.
+    // The span of the first page for all pages: an epoch that arrives meanwhile moves no interval.
     if (page.from) query.set("from", gpsText(page.from));
     if (page.to) query.set("to", gpsText(page.to));
   }

@@ -30,7 +30,7 @@ interface ChartProps {
   onZoom: (from: GpsTime, to: GpsTime) => void;
 }
 
-/** A point in time as an interval of one solution, for charts of other values than those of solutions. */
+/** A point in time in the form of an interval of one solution, for charts of other values. */
 export function pointInterval(seq: number, time: GpsTime, index: number): Interval {
   const status = "UNSPECIFIED" as const;
   return {
@@ -219,7 +219,7 @@ export function Chart(props: ChartProps) {
   );
 }
 
-/** Gaps in pixels where a solution is missing for three intervals or more. */
+/** The ranges (px) between two solutions that are more than three intervals apart. */
 function breaks(props: ChartProps, i0: number, i1: number, plot: uPlot | null): [number, number][] {
   if (!plot) return [];
   const found: [number, number][] = [];
@@ -297,7 +297,7 @@ function drawStrip(plot: uPlot, { intervals, intervalS }: ChartProps): void {
   intervals.forEach((interval, i) => {
     const at = unixS(interval.time);
     const next = intervals[i + 1] ? unixS(intervals[i + 1].time) : at + intervalS;
-    // A pause longer than a few intervals stays empty.
+    // A pause longer than a few intervals stays empty in the strip.
     const until = next - at < 4 * Math.max(intervalS, 1) ? next : at + Math.max(intervalS, 1);
     const x = plot.valToPos(at, "x", true);
     const w = Math.max(1, plot.valToPos(until, "x", true) - x + 0.6);

@@ -1,13 +1,13 @@
-/** How long the epochs of a session take to this page: from their time tag to their stored answer here. */
+/** The delays of a session's epochs: from the time tag to when this page has the stored answer. */
 import { useState } from "preact/hooks";
 import type { GpsTime, Solution } from "./api";
 import { Chart, only, pointInterval } from "./chart";
 import { useMessages } from "./live";
 import { unixS } from "./time";
 
-/** Epochs that are shown. */
+/** Number of epochs that are shown. */
 const KEPT = 3600;
-/** Delays (s) beyond which the time tags are not of now: a recording, or a clock that is wrong. */
+/** Outside these delays (s) the time tags are not from now: a recording, or a wrong clock. */
 const [LEAST_S, MOST_S] = [-30, 600];
 const VIOLET: [string, string] = ["#c3a6ff", "#6a3fb5"];
 
@@ -26,7 +26,7 @@ interface DelaysProps {
 
 const seconds = (s: number): string => (Math.abs(s) < 1 ? `${Math.round(s * 1000)} ms` : `${s.toFixed(1)} s`);
 
-/** The value that this part of the sorted delays does not exceed. */
+/** The quantile: a fraction `part` of the sorted delays does not exceed it. */
 const quantile = (sorted: number[], part: number): number => sorted[Math.min(sorted.length - 1, Math.floor(part * sorted.length))];
 
 export function Delays({ id, selected, onPick, onZoom }: DelaysProps) {

@@ -1,29 +1,29 @@
 /**
- * The latest of all sessions, by a watch; where no stream can be had, by polling.
+ * The latest head of each session. A stream brings the heads; without a stream the page polls.
  *
- * The ages grow while nothing arrives, so the page is given the time at least once a second, and at
- * most that often: a fleet of ten thousand devices brings thousands of heads a second.
+ * Ages grow even if nothing arrives, so the page is drawn at least once a second. It is drawn at
+ * most once a second, too: a fleet of ten thousand devices sends thousands of heads a second.
  */
 import { useEffect, useState } from "preact/hooks";
 import { type Head, type Problem, heads as headsOf } from "./api";
 import { follow, polling } from "./live";
 
-/** A session as it was last seen. */
+/** A session with its latest head. */
 export interface Seen {
   head: Head;
   name: string;
-  /** What the text filter looks into. */
+  /** The text that the filter searches. */
   words: string;
-  /** When the head arrived: its age counts on from then (ms since 1970). */
+  /** When the head arrived (ms since 1970). The age in the head holds for this time. */
   at: number;
-  /** When a new epoch last arrived while the page looked on (ms since 1970); 0 before. */
+  /** When the page last received a new epoch (ms since 1970); 0 before the first. */
   movedAt: number;
 }
 
 export interface Fleet {
   /** All sessions in order of their names; undefined before they have arrived. */
   list?: Seen[];
-  /** The time for which states and ages are (ms since 1970). */
+  /** The time for which states and ages are computed (ms since 1970). */
   now: number;
   problem?: Problem;
 }
@@ -35,28 +35,28 @@ interface HeadsMessage {
 }
 
 const SHOW_MS = 1000;
-/** The service says something every 15 s. */
+/** Silence after which the stream counts as broken. The service sends something every 15 s. */
 const SILENCE_MS = 40_000;
 const ORDER = new Intl.Collator("en", { numeric: true });
 
-/** Polls come less often for larger fleets (ms). */
+/** Time between two polls (ms): longer for larger fleets. */
 const pollMs = (sessions: number): number => (sessions < 500 ? 2000 : sessions < 3000 ? 5000 : 10_000);
 
-/** What the messages of a watch have brought so far. */
+/** The heads from the messages so far. */
 class Heads {
   private all: Map<string, Seen> | undefined;
-  /** The first messages of a stream until they are complete. */
+  /** The sessions of the first messages of a stream, until these messages are complete. */
   private fresh: Map<string, Seen> | undefined;
-  /** Ids in order of the names, until a name changes. */
+  /** Ids in the order of the names; undefined after a name has changed. */
   private order: string[] | undefined;
   private listed: Seen[] | undefined;
 
-  /** A stream begins: its first messages have all sessions that exist. */
+  /** A new stream begins. Its first messages contain all existing sessions. */
   begin(): void {
     this.fresh = new Map();
   }
 
-  /** Takes a message; true if it has completed the first ones. */
+  /** Takes a message; true if the first messages are now complete. */
   take({ heads, gone, complete }: HeadsMessage): boolean {
     const into = this.fresh ?? this.all ?? new Map<string, Seen>();
     const now = Date.now();
@@ -80,7 +80,7 @@ class Heads {
     return { head, name, words, at: now, movedAt: hasMoved ? now : (before?.movedAt ?? 0) };
   }
 
-  /** All in order of their names; undefined before they are complete. */
+  /** All sessions in the order of their names; undefined before the first messages are complete. */
   list(): Seen[] | undefined {
     const { all } = this;
     if (!all) return undefined;
@@ -90,7 +90,7 @@ class Heads {
   }
 }
 
-/** Follows the fleet, and shows it at least once a second. Returns what ends it. */
+/** Follows the fleet, and shows it at least once a second. Returns a function that ends this. */
 function followFleet(onFleet: (fleet: Fleet) => void): () => void {
   const heads = new Heads();
   let [timer, shownAt] = [0, 0];
@@ -105,7 +105,7 @@ function followFleet(onFleet: (fleet: Fleet) => void): () => void {
   };
   const take = (message: HeadsMessage) => {
     problem = undefined;
-    // Others wait for their second.
+    // Other messages are shown when a second has passed.
     if (heads.take(message) || shownAt + SHOW_MS <= Date.now()) show();
     return false;
   };

@@ -1,10 +1,9 @@
 /**
- * The one source of live data: a value that is loaded again at an interval, or that a stream brings.
+ * Live data: a value that is loaded again at an interval, or that a stream sends.
  *
- * Pages name what they want to see, not how it arrives, so a stream can take the place of polling
- * here alone: `follow` is the one place that opens and closes streams. A hidden page asks for
- * nothing. After a failure the last value stays, with the problem beside it, and the next attempt
- * comes later each time.
+ * Pages state what they want to see and not how it arrives. Only `follow` opens and closes streams,
+ * so pages need no change when a stream replaces polling. A hidden page requests nothing. After a
+ * failure the last value stays, with the problem beside it, and each next attempt waits longer.
  */
 import { useEffect, useRef, useState } from "preact/hooks";
 import { Problem, problemOf } from "./api";
@@ -19,7 +18,7 @@ export interface Live<T> {
 
 const LONGEST_MS = 30_000;
 
-/** `load` now and at every interval; from the beginning when `key` changes. */
+/** Calls `load` now and at every interval; begins again when `key` changes. */
 export function useLive<T>(
   key: string,
   load: (signal: AbortSignal) => Promise<T>,
@@ -73,31 +72,33 @@ export function useLive<T>(
   return state.key === key ? state.live : { at: 0 };
 }
 
-/** Time after which a stream of events that was refused is tried again. */
+/** Time until the next attempt after the service has refused a stream. */
 const STREAM_AGAIN_MS = 30_000;
 const POLL_MS = 1000;
 
-/** What follows a stream of server-sent events. */
+/** How a page follows a stream of server-sent events. */
 export interface Follower {
-  /** The events by name, each with what takes its content; true after the last one, which ends all. */
+  /** For each name of an event, what takes its data. It returns true for the last event. */
   events: Record<string, (data: string) => boolean>;
-  /** A stream has begun: the first one, or another after a break. */
+  /** Called when a stream begins: the first stream, and each one after a break. */
   opened?: () => void;
   /**
-   * What is done while no stream can be had. It tells when to do it again (ms): infinity if nothing
-   * more is to come, undefined after a failure. Without it the browser asks again after a break.
+   * Called while there is no stream, such as a poll. It returns the time until the next call (ms):
+   * infinity if no more data will come, undefined after a failure. Without `instead` the browser
+   * connects again after a break.
    */
   instead?: (signal: AbortSignal) => Promise<number | undefined>;
   /** Silence after which a stream counts as broken (ms). */
   silenceMs?: number;
 }
 
-/** Silence at the beginning: a proxy that keeps events back is found out sooner (ms). */
+/** Allowed silence at the beginning. It is shorter, to find a proxy that holds events back. */
 const FIRST_SILENCE_MS = 8000;
 
 /**
- * Opens a stream, closes it while the page is hidden, and opens it again; after a refusal, and with
- * `instead` after every break, when `STREAM_AGAIN_MS` have passed. Returns what ends it.
+ * Opens a stream, closes it while the page is hidden, and opens it again. After a refusal the next
+ * attempt comes when `STREAM_AGAIN_MS` have passed; with `instead`, also after every break. Returns
+ * a function that ends all this.
  */
 export function follow(path: string, { events, opened, instead, silenceMs }: Follower): () => void {
   const stop = new AbortController();
@@ -123,7 +124,7 @@ export function follow(path: string, { events, opened, instead, silenceMs }: Fol
   const giveUp = () => {
     close();
     streamFrom = Date.now() + STREAM_AGAIN_MS;
-    void withoutStream(); // Which finds out why, and shows it.
+    void withoutStream(); // This call finds the reason, and shows it.
   };
   const open = () => {
     const made = new EventSource(path);
@@ -155,7 +156,7 @@ export function follow(path: string, { events, opened, instead, silenceMs }: Fol
     else open();
   };
   const wake = () => {
-    close(); // A hidden page asks for nothing.
+    close(); // A hidden page requests nothing.
     begin();
   };
   begin();
@@ -167,7 +168,7 @@ export function follow(path: string, { events, opened, instead, silenceMs }: Fol
   };
 }
 
-/** Polling in the place of a stream. `take` tells when to load again (ms). */
+/** Polling for `instead`. `take` returns when to load again (ms). */
 export const polling = <T>(
   load: (signal: AbortSignal) => Promise<T>,
   take: (value: T) => number,
@@ -183,8 +184,8 @@ export const polling = <T>(
 };
 
 /**
- * A value that server-sent events bring: `names` are the events that have it, and the last of them
- * ends the stream. Where no stream can be had, `load` polls.
+ * A value from server-sent events. `names` are the events that contain it. The stream ends after a
+ * value that `isLast` accepts. Without a stream the page polls with `load`.
  */
 export function useEvents<T>(
   path: string,
@@ -213,8 +214,8 @@ export function useEvents<T>(
 }
 
 /**
- * Gives each event `name` of a stream to `take`, while the page is seen. The browser asks again
- * after a break; after a refusal a later try does. The event `last` ends it.
+ * Gives each event `name` of a stream to `take` while the page is visible. The browser connects
+ * again after a break. After a refusal the next attempt comes later. The event `last` ends all.
  */
 export function useMessages<T>(path: string, name: string, last: string, take: (message: T) => void): void {
   const latest = useRef(take);

@@ -26,7 +26,7 @@ const PAGES = [
   { path: "api", name: "API", icon: "M8 7l-5 5 5 5M16 7l5 5-5 5M13.5 4l-3 16" },
 ];
 
-/** What stands for an address that cannot be decoded: no page has this path. */
+/** Path for an address that cannot be decoded. No page has it. */
 const NO_PAGE = [""];
 
 /** The parts of the address after #. */
@@ -125,7 +125,10 @@ function NodeName({ service: { value, problem } }: { service: Live<Readiness> })
   );
 }
 
-/** The pages that the user may see. Without the right admin the page of keys has quotas alone, for the right read. */
+/**
+ * The pages that the user may see. With the right read but not admin, the page of keys shows only
+ * the quotas.
+ */
 function pagesOf(signedIn: SignInState | undefined): typeof PAGES {
   const has = (right: Right) => !signedIn?.needed || signedIn.rights.includes(right);
   if (has("admin")) return PAGES;
@@ -216,7 +219,7 @@ function Entrance() {
     try {
       setState(await signOut());
     } catch {
-      document.dispatchEvent(new Event(SIGNED_OUT)); // It may be over already.
+      document.dispatchEvent(new Event(SIGNED_OUT)); // The sign-in may have ended already.
     }
   };
   if (!asked) return <p class="boot">Graphfix</p>;

@@ -10,7 +10,7 @@ interface PlotsProps {
   selected: number | undefined;
   onPick: (seq: number) => void;
   onZoom: (from: GpsTime, to: GpsTime) => void;
-  /** What one can do with the plots. */
+  /** What a user can do in the plots. */
   hint?: string;
   /** Further charts. */
   children?: ComponentChildren;

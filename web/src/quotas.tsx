@@ -19,10 +19,10 @@ interface Tenant {
 interface Kind {
   name: Name;
   words: string;
-  /** In the form. */
+  /** The unit in the form. */
   unit: string;
   text: (value: number) => string;
-  /** Units of the value in one of the form. */
+  /** The value of the quota for 1 in the form. */
   factor: number;
   isWhole: boolean;
 }
@@ -35,7 +35,7 @@ const KINDS: Kind[] = [
   { name: "storedBytes", words: "Stored", unit: "GB of epochs and solutions", text: bytes, factor: 1e9, isWhole: true },
   { name: "jobBytes", words: "Files of jobs", unit: "GB of inputs and results", text: bytes, factor: 1e9, isWhole: true },
 ];
-/** Part of a quota from which it is nearly used up. */
+/** Fraction of a quota from which on it is nearly used up. */
 const NEARLY = 0.9;
 /** The operator's tenant: only the operator's keys see it. */
 const OPERATOR = "default";
@@ -59,7 +59,7 @@ export function Quotas({ title = "Quotas" }: { title?: string }) {
   );
 }
 
-/** Whether an answer to a change is newer than what was read: etags are numbers that rise. */
+/** Whether the answer to a change is newer than what was read. Etags are increasing numbers. */
 const isNewer = (changed: Tenant | undefined, read: Tenant): changed is Tenant =>
   changed !== undefined && changed.tenant === read.tenant && Number(read.etag) < Number(changed.etag);
 
@@ -84,7 +84,7 @@ function TenantCard({ of: tenant, mayChange, onChanged }: { of: Tenant; mayChang
   );
 }
 
-/** The used part of a quota; undefined without a limit. */
+/** The used fraction of a quota; undefined without a limit. */
 function partOf({ quotas, used }: Tenant, name: Name): number | undefined {
   const quota = quotas[name];
   if (quota === null || quota === undefined) return undefined;
@@ -105,10 +105,10 @@ interface QuotaFormProps {
   onClose: () => void;
 }
 
-/** All quotas of a tenant: they are set together. */
+/** The form of all quotas of a tenant: one request sets them together. */
 function QuotaForm({ of: { tenant, quotas, etag }, onChanged, onClose }: QuotaFormProps) {
   const [texts, setTexts] = useState(() => Object.fromEntries(KINDS.map(({ name, factor }) => [name, quotas[name] === null ? "" : String(quotas[name] / factor)])) as Record<Name, string>);
-  // What the form shows was read with this etag: others may have changed the quotas since.
+  // The etag of what the form shows. Another user may have changed the quotas since.
   const [readAs] = useState(etag);
   const [problem, setProblem] = useState<Problem>();
   const [busy, setBusy] = useState(false);
@@ -146,7 +146,7 @@ function QuotaForm({ of: { tenant, quotas, etag }, onChanged, onClose }: QuotaFo
   );
 }
 
-/** The quotas that the form has; empty ones are left out, which ends them. */
+/** The quotas in the form. An empty field is left out of the request, which ends that quota. */
 function quotasOf(texts: Record<Name, string>): Partial<Record<Name, number>> {
   const given = KINDS.filter(({ name }) => texts[name].trim() !== "");
   return Object.fromEntries(given.map(({ name, factor, isWhole }) => {

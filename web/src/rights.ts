@@ -15,7 +15,7 @@ export const RIGHTS: { right: Right; meaning: string }[] = [
 
 export const SignedIn = createContext<SignInState>({ needed: false, rights: [] });
 
-/** Whether the user has a right; without keys everybody on this machine has all. */
+/** Whether the user has a right. Without keys everybody on this machine has all rights. */
 export function useRight(right: Right): boolean {
   const { needed, rights } = useContext(SignedIn);
   return !needed || rights.includes(right);

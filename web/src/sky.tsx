@@ -23,7 +23,7 @@ const normalized = (view: SatelliteView): number | undefined =>
 const contradicts = (view: SatelliteView): boolean =>
   view.role === "USED" && CONTRADICTS < Math.abs(normalized(view) ?? 0);
 
-/** What is to be said of a satellite; empty for one that is used like the others. */
+/** Remarks about a satellite; empty if it is used like the others. */
 export function remarks(view: SatelliteView): { words: string; tone: string }[] {
   const list: { words: string; tone: string }[] = [];
   const sigmas = normalized(view);

@@ -1,4 +1,4 @@
-/** What the fleet shows of a session: its state, with a colour, a shape and words. */
+/** How the dashboard shows the state of a session: a colour, a shape and words. */
 import type { Head, StatusName } from "./api";
 
 export type State = Exclude<StatusName, "UNSPECIFIED"> | "LOST" | "NEW" | "CLOSED";
@@ -7,12 +7,12 @@ export interface Look {
   name: string;
   meaning: string;
   shape: "disc" | "triangle" | "diamond" | "pentagon" | "square" | "cross" | "ring" | "dot" | "bar";
-  /** For the dark and for the light theme: colours that colour-blind people can tell apart. */
+  /** Colours for the dark and the light theme that colour-blind people can tell apart. */
   dark: string;
   light: string;
 }
 
-/** From best to worst, then what is not live. Colours after Okabe and Ito. */
+/** The states from best to worst, then those that are not live. Colours after Okabe and Ito. */
 export const LOOKS: Record<State, Look> = {
   FIXED: { name: "Fixed", meaning: "relative to a base, integer ambiguities: centimetres", shape: "disc", dark: "#2bc79b", light: "#00785a" },
   FLOAT: { name: "Float", meaning: "relative to a base, real-valued ambiguities: decimetres", shape: "triangle", dark: "#f0b429", light: "#a86400" },

@@ -113,23 +113,26 @@ export function Copyable({ text, label }: { text: string; label: string }) {
 }
 
 interface ConfirmProps {
-  /** On the button. */
+  /** The text of the button. */
   words: string;
-  /** What the act is done to. */
+  /** The name of what the act changes. */
   name: string;
-  /** On the buttons of the second click. */
+  /** The texts of the two buttons for the second click. */
   yes: string;
   no: string;
-  /** What failed, above the reason. */
+  /** What failed; shown above the reason. */
   failed: string;
-  /** What stands in the place of the button when it is done. */
+  /** The text in place of the button after the act. */
   done?: string;
   act: () => Promise<unknown>;
-  /** What the act takes away. */
+  /** What the user loses by the act. */
   children: ComponentChildren;
 }
 
-/** A button for what cannot be undone: it acts after a second click, beside words that say what is lost. */
+/**
+ * A button for an act that cannot be undone. It asks for a second click, and says what the user
+ * loses.
+ */
 export function Confirm({ words, name, yes, no, failed, done, act, children }: ConfirmProps) {
   const [state, setState] = useState<"idle" | "asked" | "busy" | "done">("idle");
   const [problem, setProblem] = useState<Problem>();

@@ -78,10 +78,10 @@ function asked(span: Span, points?: number): URLSearchParams {
 export const fleetHistory = (span: Span, signal?: AbortSignal) =>
   ask<FleetHistory>(`/v1/history/fleet?${asked(span, SPANS.find(({ value }) => value === span)?.points)}`, signal);
 
-/** Requests after which a list ends although it has too few sessions: most have no history. */
+/** Most requests for one list. It may have too few sessions then: most have no history. */
 const REQUESTS = 20;
 
-/** At least as many sessions as wanted, if there are; and whether there may be more. */
+/** Sessions, at least as many as wanted if there are so many; and whether there may be more. */
 export async function sessionHistories(span: Span, wanted: number, signal?: AbortSignal): Promise<{ sessions: SessionSummary[]; more: boolean }> {
   const query = asked(span);
   query.set("pageSize", "500");

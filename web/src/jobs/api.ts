@@ -46,7 +46,7 @@ export interface Job {
 export interface JobCount {
   name: string;
   epochs: number;
-  /** Of a reason. */
+  /** What to do about the reason; empty for a status. */
   remedy: string;
 }
 export interface JobReport {
@@ -66,7 +66,7 @@ const path = encodeURIComponent;
 
 export const hasEnded = ({ state }: Job): boolean => state !== "QUEUED" && state !== "RUNNING";
 
-/** The newest jobs, at least `wanted` of them if there are as many; and whether there are more. */
+/** The newest jobs, at least `wanted` if there are so many; and whether there are more. */
 export async function jobs(wanted: number, signal?: AbortSignal): Promise<{ jobs: Job[]; more: boolean }> {
   const all: Job[] = [];
   let token = "";
@@ -96,15 +96,15 @@ export interface Sending {
   abort: () => void;
 }
 
-/** A name for one request, so that its repetition is no second job. */
+/** A new id for a request, so that repeating the request makes no second job. */
 export function requestName(): string {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   return [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
 }
 
 /**
- * Sends files and options as a job. `fetch` tells nothing of an upload on its way, so this is an
- * XMLHttpRequest; `onProgress` has the fraction of the bytes that are sent.
+ * Sends files and options as a job. `onProgress` gets the fraction of the bytes that are sent.
+ * This is an XMLHttpRequest, because `fetch` does not report the progress of an upload.
  */
 export function send(
   files: { part: Part; file: File }[],

@@ -1,21 +1,21 @@
-/** What a file is, by its first bytes: enough to propose its role in a job. The service decides. */
+/** Recognises a file by its first bytes, to propose its role in a job. The service decides. */
 
 export type Kind = "observations" | "navigation" | "log" | "phone" | "unknown";
 
 export interface Look {
   kind: Kind;
-  /** What it is in words, such as "RINEX 3.05 observations". */
+  /** The kind of file in words, such as "RINEX 3.05 observations". */
   words: string;
   marker: string;
-  /** Time of the first observation as the header has it. */
+  /** Time of the first observation according to the header. */
   from: string;
-  /** Of a receiver's log: whether its beginning has ephemerides. */
+  /** Whether the beginning of a receiver's log has ephemerides; false for other files. */
   hasEphemerides: boolean;
-  /** Of a receiver's log: whether it is RTCM 3, which may not state its date. */
+  /** Whether the file is a log of RTCM 3, which may not state its date. */
   isRtcm: boolean;
 }
 
-/** Bytes that are looked at: a header of RINEX, or a minute of a receiver. */
+/** Number of bytes that are read: enough for a header of RINEX, or a minute of a receiver. */
 const HEAD_BYTES = 512 << 10;
 const NOTHING: Look = { kind: "unknown", words: "not recognised", marker: "", from: "", hasEphemerides: false, isRtcm: false };
 
@@ -89,7 +89,7 @@ function phone(text: string): Look | undefined {
 /** Message numbers of RTCM 3 with ephemerides. */
 const EPHEMERIDES = new Set([1019, 1020, 1041, 1042, 1044, 1045, 1046]);
 
-/** UBX and RTCM 3: whole frames with a right checksum, among anything else. */
+/** UBX and RTCM 3: whole frames with a right checksum, with any other bytes between them. */
 function receiver(bytes: Uint8Array): Look | undefined {
   let [ubx, rtcm, hasEphemerides] = [0, 0, false];
   for (let at = 0; at + 6 < bytes.length;) {
@@ -143,13 +143,13 @@ function isRtcm(frame: Uint8Array, length: number): boolean {
 export type Role = "rover" | "rover+navigation" | "navigation" | "base" | "none";
 
 export interface Entry {
-  /** Distinguishes entries; a name may come twice. */
+  /** Distinguishes entries, because two files may have the same name. */
   id: number;
   file: File;
-  /** Absent while the file is looked at. */
+  /** Undefined until the first bytes are read. */
   look?: Look;
   role: Role;
-  /** The user has chosen the role. */
+  /** Whether the user has chosen the role. */
   chosen: boolean;
 }
 
@@ -158,7 +158,7 @@ const ROVER_NAME = /(^|[^a-z])(rover|rov|mobile|kinematic|gnss_log)([^a-z]|$)/i;
 /** Long name of a file of a permanent station: site, monument, receiver, country, source. */
 const STATION_NAME = /^[A-Z0-9]{4}\d{2}[A-Z]{3}_[RSU]_/i;
 
-/** How much a file looks like a base's; the rover's is the least of all. */
+/** How much a file looks like a base's: lowest for a rover's. */
 function baseness({ file: { name }, look }: Entry): number {
   if (BASE_NAME.test(name)) return 3;
   if (ROVER_NAME.test(name) || look?.kind === "phone") return -3;

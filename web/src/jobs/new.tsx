@@ -59,7 +59,7 @@ export function NewJob({ onCreated }: { onCreated: (job: Job) => void }) {
     const isOnly = role === "rover" || role === "rover+navigation" || role === "base";
     setEntries((before) => withRoles(before.map((entry) => {
       if (entry.id === id) return { ...entry, role, chosen: true };
-      // Whoever had this role gets another.
+      // The file that had this role gets another role.
       const same = role === "base" ? entry.role === "base" : entry.role.startsWith("rover");
       return isOnly && same ? { ...entry, chosen: false } : entry;
     })));
@@ -86,7 +86,7 @@ export function NewJob({ onCreated }: { onCreated: (job: Job) => void }) {
     setProblem(undefined);
     try {
       const options = optionsOf(choices, settled(choices, files));
-      // The same request again has the same name, so that a broken upload makes no second job.
+      // The same request keeps its id, so that repeating a broken upload makes no second job.
       const of = JSON.stringify([options, parts.map(({ part, file }) => [part, file.name, file.size, file.lastModified])]);
       if (name.current.of !== of) name.current = { of, name: requestName() };
       const begun = performance.now();
@@ -204,12 +204,12 @@ function FileRow({ entry: { file, look, role }, disabled, problem, onRole, onRem
   );
 }
 
-/** What the service has itself, where no file of navigation data is given. */
+/** States what ephemerides the service has, if no file of navigation data is given. */
 function OwnNavigation() {
   const [ephemerides, setEphemerides] = useState<number>();
   useEffect(() => {
     const stop = new AbortController();
-    // Without an answer the service says it when the files have arrived.
+    // If this call fails, the service reports missing data after the upload.
     navigation(stop.signal).then((status) => setEphemerides(status.ephemerides), () => undefined);
     return () => stop.abort();
   }, []);

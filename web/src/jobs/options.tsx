@@ -11,7 +11,7 @@ const RESULTS = [...FORMATS, RINEX];
 export type Answer = "causal" | "smoothed" | "batch";
 export type BaseFrom = "any" | "header" | "ecef" | "geodetic";
 
-/** The form as it is filled in; what is undefined follows the files. */
+/** The form as the user has filled it in. A choice that is undefined follows from the files. */
 export interface Choices {
   mode?: string;
   profile?: string;
@@ -48,7 +48,7 @@ const ANSWERS: { answer: Answer; name: string; meaning: string }[] = [
   { answer: "batch", name: "Batch", meaning: "all epochs at once, at the end; slow for long files" },
 ];
 
-/** What the files suggest. */
+/** Properties of the files that decide the defaults. */
 export interface Files {
   hasBase: boolean;
   isPhone: boolean;
@@ -61,7 +61,7 @@ export interface Settled {
   answer: Answer;
 }
 
-/** The choices, with what the files suggest where the user has chosen nothing. */
+/** The choices of the user; where there is none, the default for these files. */
 export function settled(choices: Choices, files: Files): Settled {
   const mode = choices.mode ?? (files.hasBase ? "rtk-fgo" : "fgo");
   const hasWindow = MODES.find((known) => known.mode === mode)?.window ?? false;
@@ -83,7 +83,7 @@ function ecefOf(latDeg: number, lonDeg: number, heightM: number): Ecef {
   return { xM: p * Math.cos(lon), yM: p * Math.sin(lon), zM: (n * (1 - E2) + heightM) * Math.sin(lat) };
 }
 
-/** The options of the request; throws a `Problem` for what the form itself can tell. */
+/** The options of the request; throws a `Problem` for a mistake that the form can find. */
 export function optionsOf(choices: Choices, { mode, profile, answer }: Settled): JobOptions {
   const wrong = (field: string, detail: string, remedy: string) => new Problem("INVALID_FIELD", detail, remedy, `options.${field}`);
   const overrides: Record<string, string> = {};
@@ -108,7 +108,7 @@ export function optionsOf(choices: Choices, { mode, profile, answer }: Settled):
     batch: answer === "batch",
     basePositionFromHeader: isRelative && choices.baseFrom === "header",
     ...(basePosition ? { basePosition } : {}),
-    // Noon: the recording's first message is within half a day of it.
+    // Noon, because the first message of the recording must be within half a day of this time.
     ...(choices.date ? { near: gpsTime(Date.parse(`${choices.date}T12:00:00Z`) / 1000) } : {}),
   };
 }

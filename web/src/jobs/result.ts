@@ -3,7 +3,7 @@ import { type Interval, type Range, type StatusName, answered } from "../api";
 import { RANK } from "../status";
 import { gpsTime, recordedUnixS } from "../time";
 
-/** One epoch of a result; what its format does not have is NaN. */
+/** One epoch of a result. A value that the format does not have is NaN. */
 export interface Row {
   /** Seconds since 1970, UTC. */
   unix: number;
@@ -28,7 +28,7 @@ const EMPTY: Row = {
   sigmaUpM: NaN, eastNorthM2: NaN, ageS: NaN, ratio: NaN, horizontalProtectionM: NaN, verticalProtectionM: NaN,
 };
 
-/** Reads a line; undefined if it is no epoch. `other` is the status that the format cannot name. */
+/** Reads a line; undefined if the line is no epoch. */
 type Parser = (line: string) => Row | undefined;
 
 const number = (text: string | undefined): number => (text === undefined || text === "" ? NaN : Number(text));
@@ -54,7 +54,7 @@ function csvParser(): Parser {
       columns = new Map(line.split(",").map((name, i) => [name, i]));
       return undefined;
     }
-    // Reasons may have commas within quotes; no column that is read here does.
+    // Quoted reasons may have commas, so they are removed. No column that is read is quoted.
     const fields = line.replace(/"[^"]*"/g, "").split(",");
     const value = (name: string) => number(fields[columns?.get(name) ?? -1]);
     if (fields.length < 5) return undefined;
@@ -103,7 +103,7 @@ const gpxParser = (): Parser => (line) => {
   };
 };
 
-/** GGA begins an epoch, RMC gives its date, GST its standard deviations and its end. */
+/** In NMEA, GGA begins an epoch and RMC has its date. GST has its deviations and ends it. */
 function nmeaParser(other: StatusName): Parser {
   let row: Row = EMPTY;
   let timeS = 0;
@@ -131,7 +131,7 @@ function nmeaParser(other: StatusName): Parser {
   };
 }
 
-/** What reads the lines of each format. */
+/** Makes the parser for the lines of each format. */
 export const PARSERS: Record<string, (other: StatusName) => Parser> = {
   pos: posParser, csv: csvParser, geojson: geojsonParser, kml: kmlParser, gpx: gpxParser, nmea: nmeaParser,
 };

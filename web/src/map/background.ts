@@ -1,4 +1,4 @@
-/** What lies below a map's layers: tiles or coast lines, and meridians and parallels or a grid in metres. */
+/** The background of maps: tiles or coast lines, and a graticule or a grid in metres. */
 import type { FrameState } from "ol/Map";
 import { degreesToStringHDMS } from "ol/coordinate";
 import GeoJSON from "ol/format/GeoJSON";
@@ -21,15 +21,15 @@ declare const LAND_PATH: string;
 /** Smallest distance between two lines (px). */
 const SPACING_PX = 90;
 const FONT = "11px ui-sans-serif, system-ui, sans-serif";
-/** Resolution (m/px at the equator) below which coast lines to a tenth of a degree mislead. */
+/** Below this resolution (m/px at the equator) coast lines to a tenth of a degree mislead. */
 const LAND_FROM = 2500;
-/** Resolution from which on a grid in metres is of no use (m/px on the ground). */
+/** From this resolution on (m/px on the ground) a grid in metres is of no use. */
 const GRID_TO = 200;
-/** Level of the deepest tiles, and how far they are enlarged; closer there is the grid alone. */
+/** Level of the deepest tiles, and how far they are enlarged. Closer, only the grid is drawn. */
 const DEEPEST = 19;
 const STRETCH = 8;
 
-/** The operator's tiles: what the page names, or nothing. */
+/** The operator's tiles: the URL in the page, or nothing. */
 const meta = document.querySelector<HTMLMetaElement>('meta[name="graphfix-tiles"]');
 const TILES = meta?.content ?? "";
 export const ATTRIBUTION = (TILES && meta?.dataset.attribution) || "";
@@ -45,11 +45,14 @@ interface Colours {
 const DARK: Colours = { land: "#17242d", coast: "#2b404d", line: "#1b2a34", axis: "#35505f", text: "#8da3b2", halo: "#0d161d" };
 const LIGHT: Colours = { land: "#fdfdfb", coast: "#b9cbd2", line: "#d7e2e6", axis: "#a9bfc8", text: "#51626e", halo: "#eef4f6" };
 
-/** Kept for all maps: it is read once. */
+/** The coast lines for all maps: they are read once. */
 let land: VectorSource | undefined;
 let tiles: XYZ | undefined;
 
-/** The layers below those of a page, in the colours of the present theme; `anchor` is the origin of a grid in metres. */
+/**
+ * The layers below those of a page, in the colours of the present theme. `anchor` is the origin of
+ * a grid in metres.
+ */
 export function background(anchor: LonLat | undefined): BaseLayer[] {
   const colours = isDark() ? DARK : LIGHT;
   land ??= new VectorSource({ url: LAND_PATH, format: new GeoJSON() });

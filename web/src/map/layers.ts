@@ -27,7 +27,7 @@ export interface LonLat {
 
 export const projected = ({ lon, lat }: LonLat): number[] => fromLonLat([lon, lat]);
 
-/** How much longer a metre on the ground is on the map (Web Mercator). */
+/** Factor by which a length on the ground is longer on the map (Web Mercator). */
 export const stretch = ({ lat }: LonLat): number => 1 / Math.cos((lat * Math.PI) / 180);
 
 function layerOf(features: Feature[], declutter = false): Layer {
@@ -58,9 +58,9 @@ export interface Marker {
   label: string;
 }
 
-/** What calls for a look is drawn last, on top. */
+/** The order of drawing: states that need attention are last, on top. */
 const ORDER: State[] = ["CLOSED", "NEW", "SINGLE", "FGO", "EKF", "FIXED", "FLOAT", "NONE", "LOST"];
-/** Sessions of which each has its label, and from which on symbols are the smallest. */
+/** Up to `LABELLED` sessions each has a label. From `CROWD` on symbols are the smallest. */
 const LABELLED = 400;
 const CROWD = 4000;
 
@@ -85,7 +85,7 @@ export function sessions(markers: Marker[]): Layer {
   return layerOf(features, markers.length <= LABELLED);
 }
 
-/** A ring around the session that is pointed at, with its label if the fleet of `count` has none. */
+/** A ring around the session under the pointer. It has a label if the sessions have none. */
 export function ringAround({ at, label }: Marker, count: number): Layer {
   const radius = radiusOf(count);
   const feature = placed(at);
@@ -112,7 +112,7 @@ function lineOf(points: LonLat[], stroke: Stroke): Feature {
   return feature;
 }
 
-/** Where the antenna was by another source: a line of which no point can be chosen. */
+/** The true track from another source: a line whose points cannot be picked. */
 export function truthTrack(points: LonLat[]): Layer {
   return layerOf([lineOf(points, new Stroke({ color: isDark() ? "#d3f04f" : "#4f6f00", width: 2.2, lineDash: [7, 4] }))]);
 }

@@ -9,9 +9,9 @@ import { type MapOptions, MapView } from "./view";
 interface MapProps extends MapOptions {
   label: string;
   layers: Layer[];
-  /** What to show whole until the user moves the map. */
+  /** The points to keep in view until the user moves the map. */
   frame: LonLat[];
-  /** Changes when the frame is another thing, so that it is shown again. */
+  /** Changes with the subject of `frame`. The map then shows the new points. */
   frameKey: string;
   /** The least extent of the map (m). */
   smallestM: number;

@@ -2,10 +2,10 @@
 import Icon from "ol/style/Icon";
 import { LOOKS, SHAPES, type State, colourOf, isDark } from "../status";
 
-/** What sets symbols and labels off from what is below. */
+/** The outline that makes symbols and labels visible on any background. */
 export const halo = (): string => (isDark() ? "#0b1218" : "#ffffff");
 
-/** Strokes that stand out most. */
+/** The strokes that stand out most. */
 export const ink = (): string => (isDark() ? "#ffffff" : "#0f2029");
 
 /** Length of cross hairs from the position (px). */
@@ -13,7 +13,7 @@ const HAIRS_PX = 20;
 
 const icons = new Map<string, Icon>();
 
-/** How much the symbol of a state stands out: one of a row, one on its own, or the chosen one. */
+/** How much a symbol stands out: one of many, one alone, or the chosen one. */
 export type Emphasis = "plain" | "halo" | "cross-hairs";
 
 /** The symbol of a state with a radius (px). */
@@ -71,7 +71,7 @@ function mast(g: CanvasRenderingContext2D): void {
   }
 }
 
-/** A picture of `2 * reach` px, drawn once for each theme and density of the screen. */
+/** A picture of `2 * reach` px, drawn once for each theme and pixel density of the screen. */
 function icon(name: string, reach: number, draw: (g: CanvasRenderingContext2D) => void): Icon {
   const density = window.devicePixelRatio || 1;
   const key = `${name} ${halo()} ${density}`;

@@ -1,4 +1,4 @@
-/** A map of OpenLayers with the habits of this dashboard: what it frames, how it moves, what is picked. */
+/** A map of OpenLayers as the dashboard uses it: what it frames, how it moves, what is picked. */
 import type { Coordinate } from "ol/coordinate";
 import OlMap from "ol/Map";
 import View from "ol/View";
@@ -14,15 +14,18 @@ import type BaseLayer from "ol/layer/Base";
 import { toLonLat } from "ol/proj";
 import { type Layer, type LonLat, projected, stretch } from "./layers";
 
-/** Distance at which a pointer still picks (px). */
+/** Largest distance between the pointer and what it picks (px). */
 const REACH_PX = 14;
-/** Room around what is framed, for the buttons, labels and the scale: top, right, bottom, left (px). */
+/** Margins around the framed points for buttons, labels and scale: top, right, bottom, left (px). */
 const ROOM_PX = [50, 120, 60, 70];
 
-/** Keys that move the map. */
+/** The keys that move the map. */
 const MOVING = new Set(["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "+", "-"]);
 
-/** How a map moves: at once for users who want no motion, else with inertia. `wheel` says which turns of the wheel zoom. */
+/**
+ * How a map moves: at once for users who want no motion, else with inertia. `wheel` decides which
+ * turns of the wheel zoom.
+ */
 function interactions(wheel: Condition) {
   const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
   const duration = isStill ? 0 : undefined;
@@ -47,20 +50,20 @@ export class MapView {
   private readonly view = new View({ center: [0, 0], zoom: 1 });
   private layers: Layer[] = [];
   private below: BaseLayer[] = [];
-  /** What is shown whole until the user moves the map. */
+  /** The area to keep in view until the user moves the map. */
   private framed: Extent | undefined;
   private moved = false;
   private readonly area: ResizeObserver;
 
   constructor(box: HTMLElement, target: HTMLElement) {
-    // Made before the map's own observer, so that it is asked first.
+    // This observer is made before that of the map, so that it is called first.
     this.area = new ResizeObserver(() => this.drawInto(target));
     this.map = new OlMap({
       keyboardEventTarget: box,
       view: this.view,
       controls: [new ScaleLine({ minWidth: 70 })],
       interactions: interactions(({ type, originalEvent }) => {
-        // Asked for events of every kind.
+        // OpenLayers calls this for events of every kind.
         const zooms = type === "wheel" && (!this.options.calmWheel || box.contains(document.activeElement) || (originalEvent as WheelEvent).ctrlKey);
         this.moved ||= zooms;
         return zooms;
@@ -91,7 +94,10 @@ export class MapView {
     this.drawInto(target);
   }
 
-  /** The map is in its element while this has an area: otherwise OpenLayers draws nothing, and warns in the console. */
+  /**
+   * Puts the map into its element while the element has an area. Without an area OpenLayers draws
+   * nothing and warns in the console.
+   */
   private drawInto(target: HTMLElement): void {
     const hasArea = 0 < target.offsetWidth && 0 < target.offsetHeight;
     this.map.setTarget(hasArea ? target : undefined);
@@ -104,13 +110,16 @@ export class MapView {
     this.map.dispose();
   }
 
-  /** Shows the layers of a page, the last on top. Those that stay are not drawn anew. */
+  /** Shows the layers of a page, the last one on top. Layers that stay are not drawn anew. */
   show(layers: Layer[]): void {
     this.replace(this.layers, layers, 0);
     this.layers = layers;
   }
 
-  /** Shows what lies below them. What lay there before is disposed of: its sources outlive it, and would keep it. */
+  /**
+   * Shows the layers of the background. It disposes of those that were there before: their sources
+   * live longer and would keep them in memory.
+   */
   showBelow(below: BaseLayer[]): void {
     this.replace(this.below, below, -below.length);
     for (const layer of this.below) if (!below.includes(layer)) layer.dispose();
@@ -125,7 +134,10 @@ export class MapView {
     });
   }
 
-  /** Shows these points whole, and at least `smallestM`, unless the user has moved the map since; `force` shows them anyway. */
+  /**
+   * Moves the view so that all these points are in it, and at least `smallestM`. Does nothing if
+   * the user has moved the map, unless `force` is set.
+   */
   frame(points: LonLat[], smallestM: number, force: boolean): void {
     if (points.length === 0) return;
     const extent = boundingExtent(points.map(projected));
@@ -139,21 +151,21 @@ export class MapView {
     this.moved = false;
     const [width, height] = this.map.getSize() ?? [0, 0];
     if (!this.framed || width < 2 || height < 2) return;
-    // A small map keeps half of itself for what it shows.
+    // On a small map the margins take at most half of each side.
     const [top, right, bottom, left] = ROOM_PX;
     const [across, up] = [Math.min(1, width / 2 / (left + right)), Math.min(1, height / 2 / (top + bottom))];
-    // The view learns the size of its map later than this may be called.
+    // The size is given, because the view may not know the size of its map yet.
     const size = [width, height];
     this.view.fit(this.framed, { size, padding: [top * up, right * across, bottom * up, left * across] });
   }
 
-  /** Zooms by so many levels, each twice as near. */
+  /** Zooms in by a number of levels. Each level doubles the scale. */
   zoom(levels: number): void {
     this.moved = true;
     this.view.adjustZoom(levels);
   }
 
-  /** The nearest thing with an id, if it is in reach. */
+  /** The id of the nearest feature that has one, if it is within reach. */
   private picked(coordinate: Coordinate): string | undefined {
     let best: string | undefined;
     let nearest = REACH_PX * (this.view.getResolution() ?? 0);

@@ -1,4 +1,4 @@
-/** Where the API is described, and first calls with this service's own address. */
+/** Links to the description of the API, and first calls with the address of this service. */
 import { useContext } from "preact/hooks";
 import { SignedIn } from "../rights";
 import { Copyable } from "../ui";

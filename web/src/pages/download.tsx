@@ -6,7 +6,7 @@ import { FORMATS, RINEX } from "../formats";
 interface DownloadProps {
   session: string;
   series: Series | undefined;
-  /** What the map shows. */
+  /** The epochs that the map shows. */
   revision: "both" | "first" | "last";
 }
 

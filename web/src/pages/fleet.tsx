@@ -13,21 +13,21 @@ import { siteOf } from "./site";
 const ROW_PX = 56;
 /** Silence after which a device counts as lost (s). */
 const LOST_CHOICES = [10, 60, 600, 3600];
-/** Lost devices that are named. */
+/** Number of lost devices whose names are shown. */
 const NAMED = 6;
 
-/** A session with its state of now. */
+/** A session with its present state. */
 interface Device extends Seen {
   state: State;
   /** Seconds since its last epoch; null before the first. */
   ageS: number | null;
-  /** Epochs arrive, whatever their time tags are. */
+  /** Whether epochs arrive, even with old time tags. */
   isArriving: boolean;
 }
 
 /**
- * The sessions with their states. A device whose epochs arrive while the page looks on is not lost,
- * even if their time tags are old: it catches up, or plays a recording.
+ * The sessions with their states. A device is not lost while its epochs arrive, even if their time
+ * tags are old: it sends epochs of an outage, or plays a recording.
  */
 function devicesOf({ list = [], now }: Fleet, lostAfterS: number): Device[] {
   return list.map((seen) => {
@@ -57,7 +57,7 @@ export function FleetPage() {
     const wanted = text.trim().toLowerCase();
     return devices
       .filter(({ state, words }) => (chosen.size === 0 || chosen.has(state)) && words.includes(wanted))
-      .sort((a, b) => urgency(a.state) - urgency(b.state)); // And by name, as they come.
+      .sort((a, b) => urgency(a.state) - urgency(b.state)); // Then by name.
   }, [devices, text, chosen]);
 
   const sites = useMemo(() => (stations.value?.bases ?? []).flatMap((base) => {
@@ -122,7 +122,7 @@ export function FleetPage() {
   );
 }
 
-/** What calls for a look stands first, what is not live last. */
+/** The order of the counts: states that need attention first, those that are not live last. */
 const urgency = (state: State): number =>
   state === "LOST" || state === "NONE" ? 0 : state === "NEW" || state === "CLOSED" ? 2 : 1;
 
@@ -141,7 +141,7 @@ function LostDevices({ devices, onAll }: { devices: Device[]; onAll: () => void 
   );
 }
 
-/** A list of any length: only the rows in sight are in the page. */
+/** A list of any length: the page contains only the visible rows. */
 function List({ devices, lostAfterS, hovered }: { devices: Device[]; lostAfterS: number; hovered?: string }) {
   const box = useRef<HTMLDivElement>(null);
   const [top, setTop] = useState(0);
@@ -176,7 +176,7 @@ function List({ devices, lostAfterS, hovered }: { devices: Device[]; lostAfterS:
   );
 }
 
-/** When the last epoch of a device was. */
+/** The time of a device's last epoch. */
 const ageOf = ({ ageS, isArriving }: Device, lostAfterS: number): string =>
   ageS === null ? "–" : isArriving && lostAfterS < ageS ? "receiving" : ago(ageS);
 

@@ -1,4 +1,4 @@
-/** What the fleet has been doing for a day, a week or a month. */
+/** The history of the fleet over a day, a week or a month. */
 import { useState } from "preact/hooks";
 import { FleetBars, SessionBars, StatusBar, StatusShares } from "../history/bars";
 import { type FleetHistory, SPANS, type SessionSummary, type Span, fleetHistory, sessionHistories } from "../history/api";

@@ -19,7 +19,7 @@ import { CancelJob } from "./jobs";
 
 /** Points of the track and of plots. */
 const POINTS = 1200;
-/** Largest result that is read for its track without a question (bytes). */
+/** A larger result is read for its track only after the user has asked for it (bytes). */
 const READ_BYTES = 24_000_000;
 
 export function JobPage({ id }: { id: string }) {
@@ -120,7 +120,7 @@ function Succeeded({ job }: { job: Job }) {
   );
 }
 
-/** A run that came to its end, and positioned nothing. */
+/** A job that succeeded without any position. */
 function WithoutPosition({ job: { progress: { epochs } } }: { job: Job }) {
   return (
     <p class="note warn" role="note">
@@ -191,7 +191,10 @@ function ReportView({ job, report: { epochs, statuses, reasons, provenance, skip
   );
 }
 
-/** Whether a line of the report names an input that the service added: its part, its name, and for a base its frame. */
+/**
+ * Whether a line of the report names an input that the service added. Such a line has the part and
+ * the name of the input, and for a base also its frame.
+ */
 const isOfAdded = ({ inputs }: Job, line: string): boolean => inputs.some(({ part, name, own }) => own && line.startsWith(`${part}: ${name}`));
 
 const byRank = (statuses: JobReport["statuses"]): JobReport["statuses"] => {
@@ -199,7 +202,7 @@ const byRank = (statuses: JobReport["statuses"]): JobReport["statuses"] => {
   return [...statuses].sort((a, b) => order.indexOf(a.name) - order.indexOf(b.name));
 };
 
-/** Track and plots, from the file of positions itself. */
+/** Track and plots, read from the file of positions. */
 function Result({ job, report }: { job: Job; report: JobReport }) {
   const size = job.resultBytes ?? 0;
   const hasTrack = job.options.format in PARSERS && 0 < report.answered;
@@ -255,7 +258,7 @@ function Result({ job, report }: { job: Job; report: JobReport }) {
   );
 }
 
-/** The positions of a span of time, or all. */
+/** The positions in a span of time, or all without a span. */
 const epochsOf = (rows: Row[], [from, to] = [-Infinity, Infinity]): Epoch[] =>
   rows.flatMap((row, i) => (from <= row.unix && row.unix <= to && Number.isFinite(row.latDeg) ? [{ seq: i + 1, unix: row.unix, latDeg: row.latDeg, lonDeg: row.lonDeg, heightM: row.heightM }] : []));
 
@@ -317,7 +320,7 @@ function Chosen({ row, number, onClose }: { row: Row; number: number; onClose: (
   );
 }
 
-/** What was asked for. */
+/** The options of the job. */
 function Request({ job }: { job: Job }) {
   const { options } = job;
   const overrides = Object.entries(options.overrides);

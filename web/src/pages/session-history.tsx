@@ -1,4 +1,4 @@
-/** What one session has been doing for a day, a week or a month. */
+/** The history of one session over a day, a week or a month. */
 import { useState } from "preact/hooks";
 import { session } from "../api";
 import { StatusShares } from "../history/bars";

@@ -24,9 +24,9 @@ type Span = "600" | "3600" | "86400" | "all";
 type Zoom = { from: GpsTime; to: GpsTime };
 type Revision = "both" | "first" | "last";
 
-/** Points of a series: more than a screen has columns for, few enough to load at once. */
+/** Points of a series: more than a screen has columns, and few enough to load at once. */
 const POINTS = 1200;
-/** Epochs whose residuals are shown: each is computed when it is asked for. */
+/** Number of epochs whose residuals are shown. The service computes them at each request. */
 const RESIDUAL_POINTS = 200;
 
 interface Tracks {
@@ -126,7 +126,7 @@ interface Bounds {
   to?: string;
 }
 
-/** Something of a span of time, again at a pace that suits how long it takes. */
+/** Data of a span of time, loaded again and again. The slower a call, the longer the pause. */
 function useOfSpan<T>(what: string, { id, span, zoom, latest, closed }: ShownSpan, load: (bounds: Bounds, signal: AbortSignal) => Promise<T>): Live<T> {
   const end = useRef<Solution | undefined>(undefined);
   end.current = latest;
@@ -223,7 +223,7 @@ function pointsOf(series: Series): TrackPoint[] {
   });
 }
 
-/** The last position of each interval, as what a truth is compared with. */
+/** The last position of each interval, which is compared with the truth. */
 const epochsOf = ({ intervals }: Series): Epoch[] =>
   intervals.flatMap(({ seq, time, position }) => {
     if (!position) return [];
@@ -273,7 +273,7 @@ function SessionMap({ id, tracks, shown, bases, truth, spanKey, onPick }: Sessio
     const at = solution?.position && { lon: solution.position.geodetic.longitudeDeg, lat: solution.position.geodetic.latitudeDeg };
     if (site && at) list.push(baseline(site, at));
     if (site && base) list.push(baseStations([{ id: base.base, at: site, label: base.label || "base" }]));
-    // Between epochs far apart a line only hints at the way.
+    // With few points per time a straight line is not the way that the antenna took.
     const coarse = 4 < (tracks?.causal.intervalLengthS ?? 0);
     const strong = theme ? "#c9d8e2" : "#33505f";
     if (revision === "both") list.push(track(revised, { color: coarse ? line : strong, width: coarse ? 1 : 1.6 }, false));
@@ -401,7 +401,7 @@ function Options({ options }: { options: Session["configuration"] }) {
   );
 }
 
-/** What ends a session, for those who may. */
+/** The button that closes a session, for users with the right to do so. */
 function Acts({ about: { session, label }, closed, onClosed }: { about: Session; closed: boolean; onClosed: () => void }) {
   const mayOperate = useRight("operate");
   if (!mayOperate) return null;

@@ -1,4 +1,4 @@
-/** Where a base stands. */
+/** The position of a base. */
 import type { Base, Ecef } from "../api";
 import type { LonLat } from "../map/layers";
 

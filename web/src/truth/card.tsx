@@ -22,14 +22,14 @@ interface TruthCardProps {
   compared: Compared[];
   truth: Truth | undefined;
   onTruth: (truth: Truth | undefined) => void;
-  /** What the positions are, if they are not all of the span. */
+  /** Which positions of the span are compared, if not all. */
   thinning?: string;
   selected: number | undefined;
   onPick: (seq: number) => void;
   onZoom: (from: GpsTime, to: GpsTime) => void;
 }
 
-/** A logarithmic axis has no zero (m). */
+/** The smallest error in the chart: a logarithmic axis has no zero (m). */
 const LEAST_M = 1e-4;
 /** Points of the chart and of the track. */
 const POINTS = 1200;

@@ -9,7 +9,7 @@ import { gpsTime, recordedUnixS } from "../time";
 
 type Vector = [number, number, number];
 
-/** Where the antenna was. */
+/** A true position of the antenna. */
 export interface TruthRow {
   /** Seconds since 1970, UTC. */
   unix: number;
@@ -48,13 +48,13 @@ const GAP_S = 2;
 /** A line in a message is cut to this length. */
 const QUOTED = 60;
 
-/** Why a file is no truth, with the line at fault. */
+/** Why a file cannot be read as a truth, with the wrong line. */
 export class TruthError extends Error {}
 
 const atFault = (number: number, line: string, why: string): TruthError =>
   new TruthError(`line ${number}: ${JSON.stringify(line.slice(0, QUOTED))} ${why}`);
 
-/** Reads a truth file of any format, in order of time. A week of −1 means `unknownWeek`. */
+/** Reads a truth file of any format, sorted by time. Week −1 stands for `unknownWeek`. */
 export function readTruth(text: string, unknownWeek: number): TruthRow[] {
   const lines = text.replace(/^\ufeff/, "").split(/\r?\n/);
   const format = formatOf(lines);
@@ -94,16 +94,16 @@ function parsed(parse: (line: string) => Row | undefined, line: string, number: 
   }
 }
 
-/** Where a CSV has week, seconds of week and the three coordinates. */
+/** The columns of a CSV that have week, seconds of week and the three coordinates. */
 interface Columns {
   places: number[];
-  /** Known from the title, or from the first row. */
+  /** Whether coordinates are ECEF: from the title, or undefined until the first row is read. */
   isEcef?: boolean;
-  /** Rows without a position are no fault: the file is one of solutions. */
+  /** Whether rows without a position are allowed, as in a file of solutions. */
   mayBeEmpty: boolean;
 }
 
-/** Without a title, and as `graphfix simulate` writes it. */
+/** The columns of a file without a title, and of one that `graphfix simulate` has written. */
 const PLAIN: Columns = { places: [0, 1, 2, 3, 4], mayBeEmpty: false };
 /** Coordinates above this are metres, not degrees. */
 const LARGEST_ANGLE = 1000;
@@ -114,7 +114,7 @@ function readCsv(lines: string[], unknownWeek: number): TruthRow[] {
   const rows: TruthRow[] = [];
   lines.forEach((line, i) => {
     if (line.trim() === "" || /^[#%]/.test(line)) return;
-    // Reasons may have commas within quotes; no column that is read here does.
+    // Quoted reasons may have commas, so they are removed. No column that is read is quoted.
     const fields = line.replace(/"[^"]*"/g, "").split(/[,;]/).map((field) => field.trim());
     const isTitle = !columns && fields.some((field) => /^[a-z]/i.test(field));
     if (isTitle) columns = columnsOf(fields);
@@ -125,7 +125,7 @@ function readCsv(lines: string[], unknownWeek: number): TruthRow[] {
   return rows;
 }
 
-/** The columns that a title names; those of a file of solutions have names of their own. */
+/** The columns that a title names. Files of solutions have column names of their own. */
 function columnsOf(titles: string[]): Columns {
   const low = titles.map((title) => title.toLowerCase());
   const named = ["gps_week", "tow_s", "latitude_deg", "longitude_deg", "height_m"].map((name) => low.indexOf(name));
@@ -147,7 +147,7 @@ function csvRow(fields: string[], columns: Columns, unknownWeek: number, fault: 
   return { unix: recordedUnixS(week < 0 ? unknownWeek : week, tow), at: columns.isEcef ? [a, b, c] : ecef(a, b, c) };
 }
 
-/** Sorted by time; of several at one time the last one counts, as a later revision is better. */
+/** Rows sorted by time. Of rows with one time the last counts, because a revision comes later. */
 function inOrder(rows: TruthRow[]): TruthRow[] {
   const byTime = new Map(rows.map((row) => [Math.round(row.unix * 1000), row]));
   return [...byTime.values()].sort((a, b) => a.unix - b.unix);
@@ -164,7 +164,7 @@ function indexAt(truth: TruthRow[], unix: number): number {
   return low;
 }
 
-/** The true position at a time: between neighbours, or that of the nearest row. */
+/** The true position at a time: interpolated between two rows, or that of the nearest row. */
 export function truthAt(truth: TruthRow[], unix: number): Vector | undefined {
   const next = indexAt(truth, unix);
   const [before, after] = [truth[next - 1], truth[next]];
@@ -188,7 +188,7 @@ export function errorsOf(epochs: Epoch[], truth: TruthRow[]): EpochError[] {
   });
 }
 
-/** Of the horizontal errors; undefined without any. */
+/** Statistics of the horizontal errors; undefined without errors. */
 export function statisticsOf(errors: EpochError[]): Statistics | undefined {
   if (errors.length === 0) return undefined;
   const sorted = errors.map(({ horizontalM }) => horizontalM).sort((a, b) => a - b);
@@ -196,7 +196,7 @@ export function statisticsOf(errors: EpochError[]): Statistics | undefined {
   return { epochs: sorted.length, meanM, p95M: percentile(sorted, 95), maxM: sorted[sorted.length - 1] };
 }
 
-/** Linear between values: definition 7 of Hyndman & Fan (1996). */
+/** The quantile by linear interpolation: definition 7 of Hyndman & Fan (1996). */
 function percentile(sorted: number[], percent: number): number {
   const rank = (percent / 100) * (sorted.length - 1);
   const below = Math.floor(rank);
@@ -204,7 +204,7 @@ function percentile(sorted: number[], percent: number): number {
   return sorted[below] + (sorted[above] - sorted[below]) * (rank - below);
 }
 
-/** Groups of neighbours, so that a chart has at most `points` of them. */
+/** Neighbouring errors in groups, so that a chart has at most `points` groups. */
 export function grouped<T>(all: T[], points: number): T[][] {
   const size = Math.max(1, Math.ceil(all.length / points));
   return Array.from({ length: Math.ceil(all.length / size) }, (_, i) => all.slice(i * size, (i + 1) * size));
@@ -216,7 +216,7 @@ export function trackOf(truth: TruthRow[], from: number, to: number, points: num
   return grouped(inside, points).map((group) => group[0]);
 }
 
-/** Week of a time, for truth files that do not know it. */
+/** The GPS week of a time, for truth files without a week. */
 export const weekOf = (unix: number): number => gpsTime(unix).week;
 
 const RAD = Math.PI / 180;
@@ -242,7 +242,7 @@ function enu([x, y, z]: Vector, latDeg: number, lonDeg: number): Vector {
 export function lonLatOf([x, y, z]: Vector): { lon: number; lat: number } {
   const p = Math.hypot(x, y);
   let lat = Math.atan2(z, p * (1 - E2));
-  // Each round is about a hundred times nearer.
+  // Each iteration reduces the error about a hundredfold.
   for (let i = 0; i < 4; i += 1) {
     const n = AXIS_M / Math.sqrt(1 - E2 * Math.sin(lat) ** 2);
     lat = Math.atan2(z + E2 * n * Math.sin(lat), p);
