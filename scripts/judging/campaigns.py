@@ -9,7 +9,7 @@ FAULTS = (
     "blackout=120:20", "reflect=0.3", "jump=120:50", "wild=0.02", "slips=60", "half=30", "steps", "gaps=5",
     "no-cn0", "no-doppler", "no-phase", "no-lli", "shuffle",
 )
-# Those that draw nothing need one seed only.
+# Faults that draw random numbers. The others need only one seed.
 DRAWN = ("bad-start", "reflect", "jump", "wild", "slips", "half", "gaps", "shuffle")
 SHORT_FAULTS = ("thin=5", "bad-start=20", "blackout=120:20", "jump=120:50", "steps", "shuffle")
 SHORT_FAULTY = ("tst-2019", "berlin", "galway-walk")
@@ -49,7 +49,7 @@ class Plan:
         return self._job(recording, "faults", text, faults=faults, seed=seed, variant=f"seed {seed}")
 
     def jackknife(self, recordings, pairs=False):
-        """Each satellite left out once, or each pair, and each constellation."""
+        """Leaves out each satellite, or each pair, and each constellation, one job for each."""
         jobs = []
         for recording in recordings:
             names = _satellites(recording)
@@ -111,7 +111,7 @@ def _observations(recording):
 def _satellites(recording):
     observations = _observations(recording)
     if observations is None:
-        # GPS alone in the RINEX 2 recordings of the table, and all that there may be elsewhere.
+        # The RINEX 2 recordings of the table have GPS only: every possible GPS satellite.
         return [f"G{number:02d}" for number in range(1, 33)]
     return observations.satellites()
 

@@ -14,7 +14,7 @@ LAST_COMPARED_SEED = 500
 
 
 def simulate(simulator, scenario, seed, scratch, options=()):
-    """Has a build simulate one drive into a folder of `scratch`."""
+    """Lets a build simulate one drive into a folder of `scratch`."""
     folder = os.path.join(scratch, f"{scenario}-{seed}")
     command = [simulator, "simulate", "--scenario", scenario, "--seed", str(seed), "--output", folder, *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

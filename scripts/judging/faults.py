@@ -8,15 +8,15 @@ import random
 
 from .rinex import HALF_CYCLE, LOST_LOCK, SPEED_OF_LIGHT, Value
 
-# Mean extra path of a cold start between houses, and of a reflection beyond its least (m).
+# Mean extra path of a cold start between houses, and of a reflection beyond its minimum (m).
 START_LATE_M = 60.0
 REFLECTED_M = 30.0
 REFLECTED_LEAST_M = 5.0
-# Share of satellites that a cold start between houses sees late.
+# Fraction of satellites whose ranges are late in a cold start between houses.
 START_LATE_SHARE = 0.6
-# Mean length of a reflection, and of its absence at equal share (s).
+# Mean length of a reflection; also that of the pauses if reflections take half of the time (s).
 REFLECTION_S = 25.0
-# Share of reflections at whose ends the phase is lost.
+# Fraction of reflections at whose ends the receiver loses lock.
 REFLECTION_LOSES_LOCK = 0.7
 JUMP_S = 20.0
 HALF_CYCLE_S = 5.0
@@ -28,13 +28,13 @@ WEAKEST_LEFT = 3
 
 
 class UnknownFault(Exception):
-    """No fault has that name, or its value is not one."""
+    """No fault has this name, or its value is invalid."""
 
 
 def inject(observations, faults, seed):
-    """A copy with `faults` (texts like `thin=5`), and the spans disturbed, [begin, end) (s).
+    """A copy with `faults` (texts like `thin=5`), and the disturbed spans, [begin, end) (s).
 
-    Spans hold only what ends: a fault of the whole recording has none.
+    Only a fault that ends has spans. A fault of the whole recording has none.
     """
     wanted = dict((text.split("=", 1) + [""])[:2] for text in faults)
     unknown = [name for name in wanted if name not in CATALOGUE]
@@ -46,7 +46,7 @@ def inject(observations, faults, seed):
             continue
         if takes_value != bool(wanted[name]):
             raise UnknownFault(f"fault {name} takes {'a' if takes_value else 'no'} value")
-        # A stream of its own: what one fault draws does not depend on which others there are.
+        # Each fault has its own random numbers, so that they do not depend on the other faults.
         stream = random.Random(f"{seed} {name}")
         spans += apply(changed, wanted[name], stream) or []
     return changed, spans
@@ -58,14 +58,14 @@ def _pair(text):
 
 
 def _within(observations, begin_s, length_s):
-    """Epochs that lie so long after the first, and their span."""
+    """The epochs from `begin_s` after the first on, for `length_s`; and their span."""
     start = observations.epochs[0].time + begin_s
     inside = [epoch for epoch in observations.epochs if start <= epoch.time < start + length_s]
     return inside, [(start, start + length_s)]
 
 
 def _delay(satellite, metres):
-    """Makes the pseudoranges late; phases stay."""
+    """Makes the pseudoranges longer; phases stay."""
     for code in satellite.of_kind("C"):
         satellite.values[code] = satellite.values[code].plus(metres)
 
@@ -76,7 +76,7 @@ def _flag(satellite, bits):
 
 
 def _by_satellite(observations):
-    """Each satellite in each epoch with the time since its epoch before (s), 0 at its first."""
+    """Each satellite of each epoch with the time since its last epoch (s), 0 at its first."""
     last = {}
     for epoch in observations.epochs:
         for satellite in epoch.satellites:
@@ -85,7 +85,7 @@ def _by_satellite(observations):
 
 
 def cut(observations, value, _stream):
-    """`S:L`: only what lies S to S + L seconds after the first epoch."""
+    """`S:L`: keeps only the epochs from S to S + L seconds after the first."""
     observations.epochs, _ = _within(observations, *_pair(value))
 
 
@@ -150,7 +150,7 @@ def blackout(observations, value, _stream):
 
 
 def reflect(observations, value, stream):
-    """`P`: each satellite is reflected a share P of the time, some 25 s at a time."""
+    """`P`: each satellite is reflected for a fraction P of the time, about 25 s each time."""
     share, reflections = float(value), {}
     begin_rate = share / max(1e-3, 1.0 - share) / REFLECTION_S
     for _, satellite, elapsed_s in _by_satellite(observations):
@@ -201,7 +201,7 @@ def jump(observations, value, stream):
 
 
 def wild(observations, value, stream):
-    """`P`: a share P of pseudoranges is off by milliseconds of light or by 1 km to 10 000 km."""
+    """`P`: a fraction P of pseudoranges is wrong by milliseconds of light, or by 1 to 10 000 km."""
     share = float(value)
     for _, satellite, _ in _by_satellite(observations):
         for code in satellite.of_kind("C"):
@@ -273,7 +273,7 @@ def steps(observations, _value, _stream):
 
 
 def _range_rate(observations, satellite, time, last):
-    """By Doppler, else by the pseudorange of an epoch at most a minute ago, before its fault."""
+    """From Doppler, or else from the undisturbed pseudorange of an epoch at most a minute ago."""
     ranges = satellite.of_kind("C")
     before = last.get(satellite.name)
     if ranges:
@@ -316,7 +316,7 @@ def no_lli(observations, _value, _stream):
 
 
 def shuffle(observations, _value, stream):
-    """Each epoch's satellites in another order; one epoch in 50 stands there twice."""
+    """Changes the order of the satellites in each epoch; repeats one epoch in 50."""
     repeated = []
     for index, epoch in enumerate(observations.epochs):
         stream.shuffle(epoch.satellites)
@@ -324,7 +324,7 @@ def shuffle(observations, _value, stream):
     observations.epochs = repeated
 
 
-# Name: what applies it, whether it takes a value.
+# For each name: the function that applies the fault, and whether the fault takes a value.
 CATALOGUE = {
     "cut": (cut, True),
     "thin": (thin, True),

@@ -5,13 +5,13 @@ import math
 import random
 from dataclasses import dataclass
 
-# A position counts as recovered when it and those of the next seconds are near (s).
+# A position counts as recovered if it and all positions for this time after it are near (s).
 STAYS_S = 5.0
-# A recovery that takes longer has failed (s): of a recording that ends earlier, it is not known.
+# A recovery that takes longer has failed (s). If the recording ends earlier, it is unknown.
 ASKED_S = 30.0
-# An interval longer than this many usual ones is a pause of the receiver.
+# An interval longer than this many usual intervals is a pause of the receiver.
 PAUSE_INTERVALS = 2.0
-# Length of an episode: errors within it are not independent of each other (s).
+# Length of an episode (s). Errors within one episode are not independent of each other.
 EPISODE_S = 30.0
 # Chi-square of two degrees of freedom at 95 %.
 ELLIPSE_95 = -2.0 * math.log(0.05)
@@ -19,7 +19,7 @@ ROUNDS = 1000
 
 
 def percentile(values, percent):
-    """Between order statistics, linearly; None of nothing."""
+    """The percentile, linear between order statistics; None without values."""
     if not values:
         return None
     ordered = sorted(values)
@@ -30,7 +30,7 @@ def percentile(values, percent):
 
 
 def error_summary(errors):
-    """Mean, 50 %, 95 % and maximum; None of nothing."""
+    """Mean, 50 %, 95 % and maximum; None without values."""
     if not errors:
         return None
     middle, most = percentile(errors, 50.0), percentile(errors, 95.0)
@@ -65,7 +65,7 @@ def episode(time):
 
 
 def runs_of(times, longest_gap_s):
-    """Stretches of times without a longer gap, as (first, last)."""
+    """The stretches (first, last) of times without a gap longer than the given one."""
     stretches = []
     for time in sorted(times):
         if stretches and time - stretches[-1][1] <= longest_gap_s:
@@ -76,7 +76,7 @@ def runs_of(times, longest_gap_s):
 
 
 def normalised_square(east, north, covariance, truth_sigma_m):
-    """eᵀΣ⁻¹e of a horizontal error, truth's own variance per axis added; None of a singular Σ."""
+    """eᵀΣ⁻¹e of a horizontal error. Σ includes the truth's variance; None if Σ is singular."""
     own = truth_sigma_m**2
     var_e, var_n, cov = covariance[0] + own, covariance[1] + own, covariance[2]
     determinant = var_e * var_n - cov * cov
@@ -87,7 +87,7 @@ def normalised_square(east, north, covariance, truth_sigma_m):
 
 @dataclass(frozen=True)
 class Sample:
-    """One epoch after a fault's end: when, whether it counts, whether it is back (None: unknown)."""
+    """One epoch after a fault: its time, whether it counts, whether it is back (None: unknown)."""
 
     time: float
     counts: bool
@@ -97,9 +97,9 @@ class Sample:
 def recovery_s(samples, end):
     """Seconds from a fault's end until the answers are back, and stay so for 5 s.
 
-    Only the time before epochs that count (five satellites in view) is added up, without pauses.
-    `None` where nothing is known after the end, or too little: the recording ends before
-    `ASKED_S`. Infinite where they are never back.
+    Only intervals before epochs that count (five satellites in view) are added up, without
+    pauses. None if no epoch after the end is known, or if the recording ends before `ASKED_S`.
+    Infinite if the answers are never back.
     """
     later = [sample for sample in samples if end <= sample.time]
     if all(sample.is_back is None for sample in later):
@@ -117,7 +117,7 @@ def recovery_s(samples, end):
 
 
 def _usual_interval_s(samples):
-    """The median interval; infinite of fewer than two samples."""
+    """The median interval; infinite with fewer than two samples."""
     intervals = [after.time - sample.time for sample, after in itertools.pairwise(samples)]
     return percentile(intervals, 50.0) if intervals else math.inf
 

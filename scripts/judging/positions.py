@@ -10,11 +10,11 @@ WEEK_S = 604_800.0
 AXIS_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257_223_563
 ECCENTRICITY_2 = FLATTENING * (2.0 - FLATTENING)
-# A truth this near in time counts where there is none on both sides (s).
+# Without a truth on both sides, one this near in time counts (s).
 NEAREST_S = 0.02
-# Wider gaps of the truth are not interpolated over (s).
+# Longer gaps of the truth are not interpolated (s).
 WIDEST_GAP_S = 1.5
-# Coordinates above are metres from the Earth's centre, not degrees.
+# Larger coordinates are metres from the Earth's centre, not degrees.
 LARGEST_ANGLE = 1000.0
 
 
@@ -48,13 +48,13 @@ def axes(place):
 
 
 def to_enu(place, origin):
-    """East, north, up of a place from an origin (m)."""
+    """East, north, up of a position from an origin (m)."""
     offset = [a - b for a, b in zip(place, origin)]
     return tuple(sum(c * d for c, d in zip(axis, offset)) for axis in axes(origin))
 
 
 def moved(origin, enu):
-    """The place that lies so far east, north, up of an origin."""
+    """The position at an offset east, north, up (m) from an origin."""
     east, north, up = axes(origin)
     return tuple(o + enu[0] * e + enu[1] * n + enu[2] * u for o, e, n, u in zip(origin, east, north, up))
 

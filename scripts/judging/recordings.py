@@ -24,7 +24,7 @@ class Recording:
     folder: str
     rover: str
     navigation: tuple[str, ...]
-    # What surrounds it: city, open, phone (a phone's receiver, in a city) or walk.
+    # Surroundings: city, open, phone (a phone's receiver, in a city) or walk.
     kind: str
     # Whether settings have been compared on it.
     is_compared: bool
@@ -38,7 +38,7 @@ class Recording:
     truth_sigma_m: float = 0.0
     # First and last second of week solved.
     span: tuple | None = None
-    # A fix further off is wrong (m, 2D).
+    # A fix with a larger error is wrong (m, 2D).
     wrong_m: float = 0.1
     # RINEX 3 version of the same rover, where `rover` is none, for faults.
     rinex3: str | None = None
@@ -114,7 +114,7 @@ ALL = [
     _hong_kong("huawei.p40pro", PHONE),
     _hong_kong("samsung.note8", PHONE),
     _hong_kong("xiaomi.mi8", PHONE),
-    # The phone's antenna is off the truth's by about a metre, likewise in the next one.
+    # The phone's antenna is about a metre from that of the truth. So it is in the next recording.
     _real(
         "mobile-street", "rover.obs.gz", ["rover.nav.gz"], PHONE, truth_file="truth.csv", truth_sigma_m=0.7,
     ),
@@ -165,5 +165,5 @@ ALL = [
 
 
 def select(names):
-    """Those whose name contains one of `names`; all where none is given."""
+    """The recordings whose name contains one of `names`; all recordings without names."""
     return [one for one in ALL if not names or any(name in one.name for name in names)]

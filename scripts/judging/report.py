@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass
 
 from . import measures
 
-# Recordings of a hardware simulator, or whose truth is made of the same data: their errors are not
-# those that a stated covariance is about.
+# Recordings of a hardware simulator, and recordings whose truth comes from the same data. A stated
+# covariance does not describe their errors.
 NOT_FOR_ELLIPSES = ("spirent", "meijo")
 # Ratios of shorter runs are not compared.
 FEWEST_EPOCHS = 30
@@ -15,7 +15,7 @@ BOOTSTRAP_SEED = 1
 
 @dataclass
 class Group:
-    """Runs that differ in their variant only."""
+    """Runs that differ only in their variant."""
 
     build: str
     condition: str
@@ -77,7 +77,7 @@ def _pooled_pairs(pairs):
 
 
 def _comparison(own, its):
-    """Means and 95 % of both, and their ratios; None of nothing."""
+    """Means and 95 % of both, and their ratios; None without errors."""
     if not own:
         return None
     a, b = measures.error_summary(own), measures.error_summary(its)
@@ -97,7 +97,7 @@ def _ratio(above, below):
 
 
 def _episodes(runs):
-    """Sums of both errors by episode: variants of one recording share theirs."""
+    """Sums of both errors by episode. Variants of one recording have the same episodes."""
     sums = {}
     for run in runs:
         for number, (own, its) in run.against_single.items():
@@ -122,14 +122,14 @@ def _worst_and_median(times):
 
 
 def _late(times):
-    """How many are later than asked."""
+    """The number of times longer than `ASKED_S`."""
     return sum(measures.ASKED_S < time for time in times if time is not None)
 
 
 def ellipses(runs):
-    """By kind, method and status: share inside the stated 95 % ellipse, normalised square over two.
+    """By kind, method and status: fraction in the stated 95 % ellipse, half the normalised square.
 
-    The interval is over recordings where there are five, else over episodes.
+    The interval is over recordings if there are five, else over episodes.
     """
     sums = {}
     for run in runs:
@@ -195,7 +195,7 @@ def reliability(runs):
 
 
 def document(runs, command):
-    """All of it, for JSON; infinite times are the text `never`."""
+    """The whole report, for JSON. Infinite times are the text `never`."""
     def plain(value):
         if isinstance(value, dict):
             return {str(name): plain(item) for name, item in value.items()}
@@ -216,5 +216,5 @@ def document(runs, command):
     })
 
 
-# Of a run, what groups hold already.
+# The fields of a run that its group already contains.
 HEAVY = {"errors", "single", "undisturbed", "against_single", "stated", "reliability"}

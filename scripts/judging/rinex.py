@@ -23,7 +23,7 @@ HALF_CYCLE = 2
 
 
 class UnsupportedFile(Exception):
-    """The file is not what this reader reads."""
+    """This reader cannot read the file."""
 
 
 @dataclass(frozen=True)

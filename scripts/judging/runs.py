@@ -13,15 +13,15 @@ from .positions import Answer, read_answers, to_enu
 FIXED = "FIXED"
 # Satellites in view that a recovery needs.
 RECOVERY_SATELLITES = 5
-# Back is within this of the undisturbed run (m): alone, relative to a base.
+# A position is back within this distance of the undisturbed run (m): alone, relative to a base.
 BACK_ALONE_M, BACK_RELATIVE_M = 3.0, 1.0
-# After a fault's end the fixes of the undisturbed run are not asked for as long (s).
+# For this time after a fault's end a run need not have the fixes of the undisturbed run (s).
 AFTERMATH_S = 60.0
-# A fix under a fault is wrong beyond (m, 2D).
+# A fix under a fault is wrong if its error is larger (m, 2D).
 WRONG_DISTURBED_M = 0.5
 # Lower ends of the classes of stated probability.
 CLASSES = (0.0, 0.9, 0.99, 0.999, 0.9999, 0.99999)
-# A stretch of wrong fixes ends with a longer pause (s).
+# A longer pause ends a stretch of wrong fixes (s).
 WRONG_PAUSE_S = 2.0
 
 
@@ -61,9 +61,9 @@ class Job:
     """A recording under a condition, for every build and method."""
 
     recording: object
-    # `as is`, `faults`, `jackknife` or `starts`: what ellipses and probabilities are pooled over.
+    # `as is`, `faults`, `jackknife` or `starts`. Ellipses and probabilities are pooled over it.
     campaign: str
-    # What errors are pooled over: `as is`, a fault, `one satellite less`, `starts` …
+    # `as is`, a fault, `one satellite less`, `starts` …. Errors are pooled over it.
     condition: str
     builds: tuple
     methods: tuple
@@ -72,15 +72,15 @@ class Job:
     # Options of `solve --set`.
     settings: tuple = ()
     span: tuple | None = None
-    # What tells runs of one condition apart.
+    # Distinguishes the runs of one condition.
     variant: str = ""
-    # The recovery wanted is from the first epoch on: a start.
+    # Whether recovery is measured from the first epoch on, as after a cold start.
     is_start: bool = False
 
 
 @dataclass
 class Run:
-    """What one build and method did in a job."""
+    """The result of one build and method in a job."""
 
     build: str
     recording: str
@@ -93,8 +93,9 @@ class Run:
     epochs: int = 0
     answered: int = 0
     cpu_s: float = 0.0
-    # Horizontal errors (m): of all answered; of the epochs that single points also answer, theirs
-    # beside; of those that the undisturbed run also answers, its beside.
+    # Horizontal errors (m) of all answered epochs. `single` has the epochs that single points also
+    # answer: the errors of the run, and those of single points. `undisturbed` has the epochs that
+    # the undisturbed run also answers: the errors of both.
     errors: array = field(default_factory=lambda: array("d"))
     single: tuple = field(default_factory=lambda: (array("d"), array("d")))
     undisturbed: tuple = field(default_factory=lambda: (array("d"), array("d")))
@@ -103,25 +104,25 @@ class Run:
     fixed: int = 0
     judged_fixes: int = 0
     wrong: int = 0
-    # Stretches of wrong fixes.
+    # Number of stretches of wrong fixes.
     wrong_stretches: int = 0
-    # By status and episode: judged, inside the ellipse, Σ of the normalised square over two,
-    # stated a protection level, exceeded it.
+    # By status and episode: the number of judged epochs, of those inside the ellipse, Σ of half the
+    # normalised square, the number with a protection level, and of those that exceeded it.
     stated: dict = field(default_factory=dict)
-    # By class of stated probability and episode: fixes, wrong, Σ of the stated risk.
+    # By class of stated probability and episode: fixes, wrong fixes, Σ of the stated risk.
     reliability: dict = field(default_factory=dict)
     recovery_s: float | None = None
-    # What it would be if every answer were the truth: the undisturbed run may be wrong.
+    # The recovery of a run whose answers are all the truth: the undisturbed run may be wrong.
     truth_recovery_s: float | None = None
     refixed_s: float | None = None
-    # Right fixes of the undisturbed run outside the fault and its aftermath; those also fixed here.
+    # Right fixes of the undisturbed run outside fault and aftermath; how many this run has, too.
     fixes_before: int = 0
     fixes_kept: int = 0
     failure: str | None = None
 
 
 def execute(job, scratch):
-    """Runs a job; a run for each build and method."""
+    """Runs a job. Returns a run for each build and method."""
     with tempfile.TemporaryDirectory(dir=scratch) as folder:
         rover, disturbance = _rover(job, folder)
         runs = []
@@ -188,7 +189,7 @@ class _Solver:
         return read_answers(output), cpu_s
 
     def undisturbed(self, method):
-        """Answers without fault, option or other span; computed once for all jobs."""
+        """Answers for the whole recording without fault or option; computed once for all jobs."""
         recording = self.job.recording
         name = hashlib.blake2b(
             repr((self.build, recording.folder, recording.name, method)).encode(), digest_size=12,
@@ -310,7 +311,7 @@ class _Judge:
         sums[2] += 1.0 - answer.probability
 
     def compare(self, answers, others, pairs, episodes):
-        """Errors of both over the epochs that both answer, into `pairs` and by episode."""
+        """Adds the errors of both over the epochs that both answer to `pairs` and to the episodes."""
         other_of = {answer.time: answer for answer in others}
         for answer in answers:
             other = other_of.get(answer.time)

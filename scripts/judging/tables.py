@@ -29,7 +29,7 @@ def _pair(ratios):
 
 
 def _print(title, heads, rows):
-    """Columns that say nothing are left out: one build, one run a row, nothing but dashes."""
+    """Leaves out columns without information: one build, one run a row, or only dashes."""
     if not rows:
         return
     trivial = {"build": {rows[0][0]}, "runs": {"1"}, "clusters": {"1"}}

@@ -9,7 +9,7 @@ from .files import START, recording, series
 
 
 def late(changed, name, code):
-    """How late a pseudorange is by seconds after the start (m)."""
+    """The extra length of a pseudorange (m) for each time after the start (s)."""
     clean = series(recording(), name, code)
     return {
         time: round(reading.number - clean[time].number, 6)

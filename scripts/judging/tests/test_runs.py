@@ -1,4 +1,4 @@
-"""What is counted of a run, on answers made by hand."""
+"""The measures of a run, from answers made by hand."""
 
 import unittest
 
@@ -10,7 +10,7 @@ PLACE = (6378137.0, 0.0, 0.0)
 
 
 def answer(time, east_m, status="FIXED", **rest):
-    """An answer so far east of the place, on the equator."""
+    """An answer at a distance east of a position on the equator."""
     return Answer(time, status, (PLACE[0], east_m, 0.0), covariance=(1.0, 1.0, 0.0), **rest)
 
 
