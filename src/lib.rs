@@ -2,8 +2,8 @@
 //!
 //! # The map, in reading order
 //!
-//! What computes is the package `graphfix-compute`, whose modules are here under their names; its
-//! page begins with what an estimator looks for.
+//! The package `graphfix-compute` has all code that computes. Its modules are here under their
+//! names. The page of the package begins with what an estimator computes.
 //!
 //! | module | what it is |
 //! |---|---|

@@ -1,5 +1,5 @@
-//! Views: the navigation data for the session of a device that has data of its own. Only those that
-//! were asked for recently are kept.
+//! Views: the navigation data for the session of a device that has data of its own. Only the views
+//! that were made last are kept.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::size_of;

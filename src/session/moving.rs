@@ -36,7 +36,7 @@ impl Sessions {
         let row = self.row(id).await?;
         match self.store().claim(row.key).await {
             Ok(Claim::Own) => self.store().release(row.key).await.map(|()| true),
-            // It belonged to no live node.
+            // The session belonged to no live node.
             Ok(Claim::Taken) => Ok(false),
             Err(error) => Err(error),
         }
