@@ -311,7 +311,7 @@ class _Judge:
         sums[2] += 1.0 - answer.probability
 
     def compare(self, answers, others, pairs, episodes):
-        """Adds the errors of both over the epochs that both answer to `pairs` and to the episodes."""
+        """Adds the errors of both, where both answer, to `pairs` and to the episodes."""
         other_of = {answer.time: answer for answer in others}
         for answer in answers:
             other = other_of.get(answer.time)

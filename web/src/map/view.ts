@@ -16,7 +16,7 @@ import { type Layer, type LonLat, projected, stretch } from "./layers";
 
 /** Largest distance between the pointer and what it picks (px). */
 const REACH_PX = 14;
-/** Margins around the framed points for buttons, labels and scale: top, right, bottom, left (px). */
+/** Margins around the framed points for buttons and scale: top, right, bottom, left (px). */
 const ROOM_PX = [50, 120, 60, 70];
 
 /** The keys that move the map. */
