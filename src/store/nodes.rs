@@ -122,11 +122,15 @@ impl Store {
     pub(crate) async fn end_leases(&self) -> Result<Vec<String>, StoreError> {
         let Some((pool, member)) = self.cluster() else { return Ok(Vec::new()) };
         let ending = async {
+            // One transaction: if a process cannot be ended, its node is still there to be tried
+            // again.
+            let mut transaction = pool.begin().await?;
             let end = sqlx::query_as(END_LEASES).bind(member.fence());
-            let ended: Vec<(String, i32)> = end.fetch_all(pool).await?;
+            let ended: Vec<(String, i32)> = end.fetch_all(&mut *transaction).await?;
             for (_, process) in &ended {
-                sqlx::query(END_PROCESS).bind(process).execute(pool).await?;
+                sqlx::query(END_PROCESS).bind(process).execute(&mut *transaction).await?;
             }
+            transaction.commit().await?;
             Ok(ended.into_iter().map(|(name, _)| name).collect())
         };
         let ended = within(DEADLINE, ending).await;

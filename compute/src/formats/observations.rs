@@ -8,6 +8,7 @@ use std::fmt;
 use std::io::{BufRead, Chain, Cursor, Read};
 
 use crate::gnss::{Epoch, GpsTime, Navigation};
+use crate::refusal::Code;
 
 use super::damage::{DamageReport, UntilDamage};
 use super::gnss_logger::{self, LogFileError, LogReader, is_gnss_logger};
@@ -96,6 +97,9 @@ impl FileError {
     /// What the user can do about it, where it differs from file to file.
     pub(crate) const fn remedy(&self) -> Option<&'static str> {
         match self {
+            Self::Rinex(RinexError::CompressionUnsupported { .. }) => {
+                Some(Code::RinexCompressionUnsupported.remedy())
+            }
             Self::Rinex(_) | Self::Receiver(_) => None,
             Self::GnssLogger(error) => Some(error.remedy()),
             Self::Damaged { .. } => Some(GzipDamage::REMEDY),
@@ -420,6 +424,17 @@ mod tests {
     use crate::simulation::{Scenario, Simulator, navigation};
 
     const EPOCHS: usize = 20;
+
+    /// A file that is packed in another way than with gzip is named with what unpacks it.
+    #[test]
+    fn unsupported_compression_has_a_remedy_of_its_own() {
+        for packed in [&b"\x1f\x9d\x90abcdef"[..], b"PK\x03\x04abcdef", b"BZh91AY&SYabc"] {
+            let opened = Observations::new(Recognised::new(packed), None, &Navigation::default());
+            let error = opened.err().expect("a packed file has no observations");
+            let remedy = error.remedy().unwrap_or("none");
+            assert!(remedy.contains("unpack the file"), "{error}: {remedy}");
+        }
+    }
 
     fn scenario() -> Scenario {
         Scenario { duration_s: EPOCHS as f64 - 1.0, ..Scenario::open_sky() }
