@@ -16,8 +16,9 @@ fn sample() -> String {
     antex(&[("MAKER123.00", "     20.00    -10.00    150.00")])
 }
 
-/// Perfect observations are those of the phase centre: corrected, they give the antenna reference
-/// point 15 cm below it, 2 cm south and 1 cm east, to 2 mm.
+/// The true position is taken as that of the phase centre. After the correction the position is
+/// that of the antenna reference point, to 2 mm: 15 cm below, 2 cm south and 1 cm east of the true
+/// one.
 #[test]
 fn positions_come_down_to_the_reference_point() {
     let catalogue = graphfix::formats::antex::read(sample().as_bytes()).unwrap();
@@ -68,7 +69,7 @@ fn the_summary_names_the_antennas() {
     let scenario = ["simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "30"];
     run(folder, &[&scenario[..], &["--output", "."]].concat());
     fs::write(folder.join("antennas.atx"), sample()).unwrap();
-    // The rover has the antenna of the file, the base another.
+    // The rover has the antenna of the ANTEX file, and the base has another one.
     for (file, antenna) in [("rover.obs", "MAKER123.00     NONE"), ("base.obs", "MAKER9")] {
         let text = fs::read_to_string(folder.join(file)).unwrap();
         let ideal = format!("{:<20}", "IDEAL");

@@ -13,7 +13,8 @@ use super::measured::{self, near};
 use crate::support::data;
 use crate::support::recording::{Errors, Recording, canyon};
 
-/// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m; their program, run: 9.33, 8.06, 31.82.
+/// Wen & Hsu (2021), table 1, row FGO: 9.45, 8.06, 31.94 m. A run of their program gives 9.33,
+/// 8.06, 31.82 m.
 #[test]
 fn the_paper_profile_gives_the_papers_row() {
     let Some(recording) = canyon() else { return };
@@ -45,7 +46,7 @@ fn a_car_in_the_canyon_in_batch() {
     near(&[("height (m)", errors.up_m, -8.63, 0.8)]);
 }
 
-/// No Doppler, an epoch every 30 s. Single points have 0.79 m.
+/// No Doppler, an epoch every 30 s. [`measured::SPP_STATION`] has the single-point errors.
 #[test]
 fn a_day_of_a_reference_station_smoothed() {
     let Some(folder) = data::set("hers-hert") else { return };
@@ -61,8 +62,8 @@ fn a_day_of_a_reference_station_smoothed() {
     }
 }
 
-/// Exact observations except for the troposphere's mapping: the graph adds nothing to single
-/// epochs.
+/// The observations are exact except for the mapping of the troposphere. The graph makes the
+/// positions no worse than single epochs give them.
 #[test]
 fn a_simulated_receiver_is_placed_better_than_by_single_points() {
     let Some(folder) = data::set("spirent-rtk") else { return };
@@ -77,8 +78,7 @@ fn a_simulated_receiver_is_placed_better_than_by_single_points() {
     assert!(smoothed.greatest_m < 0.02, "{}", smoothed.greatest_m);
 }
 
-/// There is one revision for each epoch, in order, and they do not depend on how the stream is cut
-/// into calls.
+/// There is one revision for each epoch, in order.
 #[test]
 fn every_epoch_is_revised_once() {
     let Some(mut recording) = canyon() else { return };
@@ -95,7 +95,7 @@ fn every_epoch_is_revised_once() {
     assert_eq!(revised.iter().map(|solution| solution.time).collect::<Vec<_>>(), times);
 }
 
-/// A clone continues with the same bits; so does one that is copied into another's storage.
+/// A clone continues with the same bits, also one that `clone_from` copies into an older estimator.
 #[test]
 fn clones_answer_alike() {
     let Some(recording) = canyon() else { return };
@@ -111,15 +111,15 @@ fn clones_answer_alike() {
     }
 }
 
-/// Mean difference between the second run's error and the first run's (m).
+/// Mean error of the second run less that of the first (m).
 ///
-/// Not the distance between the runs: if two heights are about equally likely, a centimetre can
-/// decide when the window moves from one to the other.
+/// The distance between the runs would not do: if two heights are about equally likely, a
+/// centimetre can decide when the window moves from one height to the other.
 fn worse_by_m(plain: &[Solution], other: &[Solution]) -> f64 {
     Errors::in_the_canyon(other).mean_m - Errors::in_the_canyon(plain).mean_m
 }
 
-/// The receiver steps its clock by a millisecond: tag, pseudoranges and phases with it.
+/// The receiver steps its clock by a millisecond, in the time tag and the pseudoranges.
 #[test]
 fn a_clock_jump_moves_no_position() {
     let Some(mut recording) = canyon() else { return };
@@ -133,7 +133,8 @@ fn a_clock_jump_moves_no_position() {
     }
     let jumped = recording.causal(Mode::Fgo, Profile::UrbanVehicle);
     assert!(jumped.iter().all(|solution| solution.status == Status::Fgo));
-    // Phases keep their clock; the tag's millisecond moves satellites and car by centimetres.
+    // The phases do not step. In the millisecond of the time tag satellites and car move by
+    // centimetres.
     let worse_by_m = worse_by_m(&plain, &jumped);
     assert!(worse_by_m.abs() < 0.5, "{worse_by_m}");
 }
@@ -199,7 +200,7 @@ fn an_unflagged_slip_moves_nothing_far() {
     assert!(worse_by_m.abs() < 0.5, "{worse_by_m}");
 }
 
-/// Some simulated drives; `examples/canyon_campaign.rs` runs all seeds.
+/// Three simulated drives of each scenario; `examples/canyon_campaign.rs` runs all seeds.
 #[test]
 fn simulated_drives_are_better_than_single_points_and_honest() {
     let drives = [("urban-canyon", Profile::UrbanVehicle), ("open-sky", Profile::General)];
@@ -222,17 +223,16 @@ fn simulated_drives_are_better_than_single_points_and_honest() {
             }
         }
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
-        // Under open sky the likelihood does not include the variance of the atmosphere's models,
-        // which single points use as weights: there the window's error is up to 1.4 times as large.
+        // Single-point positioning weights by the variance of the atmosphere's models. The window
+        // does not, so under open sky its error is up to 1.4 times as large.
         let limit = if scenario == "urban-canyon" { 0.6 } else { 1.1 };
         assert!(mean(&means) < limit, "{scenario}: {means:?}");
         assert!((0.9..=1.0).contains(&mean(&inside)), "{scenario}: {inside:?}");
     }
 }
 
-/// A start with four satellites is not proven, even if they agree; the whole sky that follows
-/// proves it within ten seconds.
-/// Epochs so far apart that each counts as one after an outage.
+/// Only the first epoch reports that the start is unproven. The epochs are 30 s apart, so each
+/// counts as the first after an outage.
 #[test]
 fn a_start_is_proven_by_epochs_half_a_minute_apart() {
     let scenario = Scenario { base: None, duration_s: 300.0, ..Scenario::open_sky() };
@@ -247,6 +247,8 @@ fn a_start_is_proven_by_epochs_half_a_minute_apart() {
     assert_eq!((solutions.len(), doubted), (11, vec![0]));
 }
 
+/// A start with four satellites is not proven, even if they agree. All satellites that follow prove
+/// the start within ten seconds.
 #[test]
 fn a_start_is_doubted_until_it_is_proven() {
     let scenario = Scenario { base: None, duration_s: 40.0, ..Scenario::open_sky() };

@@ -1,9 +1,10 @@
-//! The figures that the goldens check, as this version of the estimators gives them on each
+//! The figures that the goldens check. They are what this version of the estimators gives on each
 //! recording.
 //!
-//! The figures are bounds on both sides: if one improves, it is revised here, so that a later loss
-//! is visible. The tolerances are above the effect of another order of sums or another compiler,
-//! and below the differences between settings that `docs/experiments.md` compares.
+//! Each figure is checked from above and from below. An improvement also fails, so that the figure
+//! is revised here and a later loss is visible. The tolerances exceed the effect of another order
+//! of summation or another compiler. They are smaller than the differences between the settings
+//! that `docs/experiments.md` compares.
 
 use crate::support::recording::Errors;
 
@@ -11,10 +12,10 @@ use crate::support::recording::Errors;
 const ERROR: f64 = 0.05;
 /// Relative tolerance of the largest error, which belongs to one epoch and varies more.
 const GREATEST: f64 = 0.10;
-/// Tolerance of a share of epochs.
+/// Tolerance of a fraction of epochs.
 const SHARE: f64 = 0.02;
 
-/// Horizontal errors of one recording, and the share of them inside the stated 95 % ellipse.
+/// Horizontal errors of one recording, and the fraction of them inside the stated 95 % ellipse.
 pub(super) struct Measured {
     mean_m: f64,
     deviation_m: f64,
@@ -22,7 +23,8 @@ pub(super) struct Measured {
     inside: f64,
 }
 
-/// tst-2019, `fgo`, `urban-vehicle`: the causal answer, the answer that leaves the window, the batch.
+/// tst-2019, `fgo`, `urban-vehicle`: the causal answer, the answer that leaves the window, the
+/// batch.
 pub(super) const FGO_CANYON_AT_ONCE: Measured = measured(2.538, 1.199, 6.973, 0.866);
 pub(super) const FGO_CANYON_SMOOTHED: Measured = measured(2.425, 1.104, 5.756, 0.870);
 pub(super) const FGO_CANYON_BATCH: Measured = measured(1.765, 0.926, 3.685, 0.876);
@@ -48,16 +50,16 @@ pub(super) const HERS_L1_FILTER: usize = 2_871;
 pub(super) const KLT: usize = 127;
 /// Of 552 epochs with truth.
 pub(super) const GALWAY_WALK: usize = 512;
-/// galway-static by the published estimator: mean horizontal error (m), share fixed.
+/// galway-static by the published estimator: mean horizontal error (m), fraction fixed.
 pub(super) const GALWAY_PAPER_AT_ONCE: [f64; 2] = [1.095, 0.067];
 pub(super) const GALWAY_PAPER_BATCH: [f64; 2] = [1.041, 0.066];
-/// Six simulated drives in streets: per cent of the epochs that are fixed at once, and per cent of
-/// these fixes that are more than 10 cm off.
+/// Six simulated drives in streets: per cent of the epochs that are fixed in their first answer,
+/// and per cent of these fixes that are more than 10 cm off.
 pub(super) const CANYON_FIXED_PERCENT: f64 = 54.7;
 pub(super) const CANYON_WRONG_PERCENT: f64 = 0.35;
-/// By `fix_probability`; and per cent of the epochs without integers whose position is inside the
-/// stated 95 % ellipse.
+/// Per cent of these fixes that are wrong according to their `fix_probability`.
 pub(super) const CANYON_STATED_WRONG_PERCENT: f64 = 0.89;
+/// Per cent of the epochs without integers whose position is inside the stated 95 % ellipse.
 pub(super) const CANYON_FLOAT_INSIDE_PERCENT: f64 = 96.2;
 
 const fn measured(mean_m: f64, deviation_m: f64, greatest_m: f64, inside: f64) -> Measured {
@@ -87,7 +89,7 @@ pub(super) fn near(figures: &[(&str, f64, f64, f64)]) {
     assert!(far.is_empty(), "far from (name, value, measured, tolerance): {far:?}\nall: {all:?}");
 }
 
-/// Checks that a number of fixed epochs is within a hundredth of the measured one.
+/// Checks that a number of fixed epochs is within 1 % of the measured one, or within one epoch.
 #[track_caller]
 pub(super) fn near_count(count: usize, measured: usize) {
     near(&[("fixed epochs", count as f64, measured as f64, (0.01 * measured as f64).max(1.0))]);

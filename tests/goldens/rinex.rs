@@ -10,8 +10,9 @@ use graphfix::gnss::{Cycles, Epoch, GpsTime};
 use crate::support::data;
 use crate::support::reading::open;
 
-/// The outcome for each file, reviewed one by one: the counts of plain, undamaged observation files
-/// agree with `scripts/count_rinex.py`, and each reason with the lines it names.
+/// The expected outcome for each file, reviewed one by one. The counts of plain, undamaged
+/// observation files agree with `scripts/count_rinex.py`. Each reason agrees with the lines that it
+/// names.
 const OUTCOMES: &str = include_str!("rinex/outcomes.txt");
 
 /// All epochs of a file, with its reader.
@@ -110,7 +111,8 @@ fn compact_twins_decode_to_equal_epochs() {
     }
 }
 
-/// Epochs and observations that `scripts/count_rinex.py`, another method, counts in the data sets.
+/// Numbers of epochs and observations in the data sets, as `scripts/count_rinex.py` counts them by
+/// another method.
 #[test]
 fn counts_agree_with_an_independent_count() {
     let counts = [
@@ -140,7 +142,7 @@ fn counts_agree_with_an_independent_count() {
     }
 }
 
-/// The rover of hers-hert has P1 and no C1: one L1 observation, with its phase.
+/// The rover of hers-hert has P1 and no C1. P1 and the L1 phase become one observation.
 #[test]
 fn rinex_2_phase_goes_with_the_pseudorange_there_is() {
     let Some(folder) = data::set("hers-hert") else { return };
@@ -152,8 +154,8 @@ fn rinex_2_phase_goes_with_the_pseudorange_there_is() {
     assert_eq!(epochs[0].observations[1].signal().to_string(), "G2W");
 }
 
-/// Column `X1` of meijo-static is a channel number: it is skipped, and the other columns stay in
-/// place.
+/// Column `X1` of meijo-static is a channel number. It is skipped, and the other columns keep their
+/// meaning.
 #[test]
 fn unknown_types_keep_their_column() {
     let Some(folder) = data::set("meijo-static") else { return };

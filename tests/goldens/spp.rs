@@ -31,8 +31,8 @@ fn the_default_profile_is_better_in_the_canyon() {
 
 const SPIRENT_NAVIGATION: [&str; 2] = ["RINEX_GN_Spirent.23N", "RINEX_EN_Spirent.23L"];
 
-/// 3D 95 % of at most 35 mm, 601 of 601 epochs: the rest is the simulator's own troposphere
-/// mapping.
+/// The 3D error at 95 % is at most 35 mm over 601 epochs. What remains comes from the simulator's
+/// own troposphere mapping.
 #[test]
 fn simulated_receivers_are_placed_within_centimetres() {
     let Some(folder) = data::set("spirent-rtk") else { return };
@@ -49,7 +49,8 @@ fn simulated_receivers_are_placed_within_centimetres() {
     }
 }
 
-/// IGS coordinates; RTKLIB's single mode has 0.90 and 1.83 m.
+/// The truth is IGS coordinates. RTKLIB's single mode has 0.90 m in the horizontal mean and 1.83 m
+/// at 95 %.
 #[test]
 fn a_day_of_a_reference_station() {
     let Some(folder) = data::set("hers-hert") else { return };
@@ -60,8 +61,9 @@ fn a_day_of_a_reference_station() {
     measured::SPP_STATION.holds(&Errors::of(&solutions, |_| truth));
 }
 
-/// The start moves no answer by more than 0.1 mm if the epoch has redundancy; other epochs use
-/// known differences between the clocks.
+/// An estimator that has seen earlier epochs and a new one give the same position to 0.1 mm, if the
+/// epoch has redundancy. Epochs without redundancy are left out: they use differences between the
+/// clocks that are known from earlier epochs.
 #[test]
 fn the_previous_position_decides_nothing() {
     let Some(folder) = data::set("tst-2019") else { return };
@@ -85,8 +87,9 @@ fn the_previous_position_decides_nothing() {
     assert!(500 < moved.len() && greatest_m < 1e-4, "{} epochs, {greatest_m} m", moved.len());
 }
 
-/// Walks and drives with a wrong ephemeris, clocks that differ by a kilometre, and few satellites:
-/// the epochs that have a position. The others have fewer than four satellites with known clocks.
+/// Counts the epochs that have a position in a walk and three drives. They have a wrong ephemeris,
+/// receiver clocks that differ by a kilometre between constellations, and few satellites. Epochs
+/// without a position have fewer than four satellites with known clocks.
 #[test]
 fn epochs_with_sound_satellites_are_answered() {
     let answered = |set: &str, rover: &str, navigation: &[&str]| {
