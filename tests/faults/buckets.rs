@@ -1,5 +1,5 @@
-//! Files of jobs in a bucket of an S3 service: the same results as from a folder, faults of the
-//! service, and workers that share no folder with it.
+//! Files of jobs in a bucket of an S3 service. Tests that results are the same as from a folder,
+//! that faults of the S3 service are survived or refused, and that workers need no common folder.
 
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
@@ -37,12 +37,13 @@ async fn doors(buckets: &Buckets) -> Doors {
     Doors::with_jobs(JobsConfiguration { s3: Some(buckets.configuration()), ..jobs }).await
 }
 
-/// The files in the folder of a service.
+/// Number of incoming files in the folder of a service.
 fn left(folder: &Path) -> usize {
     std::fs::read_dir(folder.join("incoming")).unwrap().count()
 }
 
-/// Each request must have the signature that Amazon's own code computes; `moto` takes any.
+/// Checks that each request has the signature that Amazon's own code computes: `moto` accepts any
+/// signature.
 fn check_signatures(buckets: &Buckets) {
     let (requests, right) = buckets.signed_with("a-secret");
     assert!(0 < requests && right == requests, "{right} of {requests}");
@@ -66,10 +67,10 @@ async fn a_job_has_its_files_in_a_bucket() {
     let (status, page) = bytes_of(&doors, &page).await;
     assert_eq!(status, StatusCode::OK);
     assert!(String::from_utf8(page).unwrap().contains("Height over time"), "its figures");
-    // Nothing is left of what was on its way.
+    // No incoming file is left.
     let folder = doors.folder().join("test.db.jobs");
     assert_eq!((left(&folder), folder.join("inputs").exists()), (0, false));
-    // Equal files are one.
+    // Equal files are stored once.
     let again = created(&doors, MINUTE.body(&options())).await;
     assert_eq!(ended(&doors, &again).await["state"], "SUCCEEDED");
     assert_eq!(buckets.names("of/us/inputs/"), inputs);
@@ -81,7 +82,7 @@ async fn a_job_has_its_files_in_a_bucket() {
         assert_eq!(status, StatusCode::OK, "{gone}");
     }
     assert!(buckets.names("of/us/results/").is_empty());
-    // Young files stay: their job may be about to be stored.
+    // Recent files stay, since the row of their job may not be stored yet.
     doors.service.jobs().remove_expired().await.unwrap();
     assert_eq!(buckets.names("of/us/inputs/"), inputs);
     buckets.set(Fault::Old);
@@ -91,7 +92,7 @@ async fn a_job_has_its_files_in_a_bucket() {
     check_signatures(&buckets);
 }
 
-/// Appends to an upload of several requests.
+/// Appends to an upload that may take several requests.
 async fn appended(doors: &Doors, upload: &str, content: &[u8]) -> (StatusCode, Value) {
     let request = Request::patch(format!("/v1/uploads/{upload}")).header("upload-offset", "0");
     let request = request.header("tus-resumable", "1.0.0");
@@ -108,8 +109,8 @@ async fn begun(doors: &Doors, content: &[u8]) -> String {
     upload["upload"].as_str().unwrap().to_owned()
 }
 
-/// A file of three parts. Refused at first it is stored later, although each third request fails;
-/// and it takes its part of the space.
+/// A file that is sent to the bucket in three parts. The bucket refuses it at first. It is stored
+/// later, although every third request fails, and it counts in the used space.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_large_file_goes_up_in_parts() {
     let Some(buckets) = Buckets::start().await else { return };
@@ -130,7 +131,8 @@ async fn a_large_file_goes_up_in_parts() {
     let (status, problem) = appended(&doors, &upload, &content).await;
     assert_eq!((status.as_u16(), code(&problem)), (503, "BUCKET_REFUSES"), "{problem}");
     assert!(problem.to_string().contains("InvalidAccessKeyId"), "{problem}");
-    // All its bytes are there. Who names it lets the service store it.
+    // The service has all bytes of the upload. It stores them in the bucket when a job names the
+    // upload.
     buckets.set(Fault::Flaky(2, 0));
     let uploads = json!({"uploads": [{"part": "rover", "upload": upload}]}).to_string();
     let parts = [("navigation", &MINUTE.navigation[..]), ("options", uploads.as_bytes())];
@@ -140,14 +142,14 @@ async fn a_large_file_goes_up_in_parts() {
     assert!(buckets.ask(&["get", &key]) == content);
     assert_eq!(buckets.ask(&["parts"]), b"0\n");
     buckets.set(Fault::None);
-    // Also after a start, when the objects are counted.
+    // After a restart, when the service counts the objects, the file still uses space.
     let doors = doors.restarted().await;
     let other = vec![b'x'; content.len()];
     let upload = begun(&doors, &other).await;
     let (status, problem) = appended(&doors, &upload, &other).await;
     assert_eq!((status.as_u16(), code(&problem)), (429, "JOB_SPACE_EXHAUSTED"), "{problem}");
     doors.close().await;
-    check_signatures(&buckets); // Parts, too.
+    check_signatures(&buckets); // Those of the parts, too.
 }
 
 fn blake3_of(content: &[u8]) -> String {
@@ -159,11 +161,11 @@ fn blake3_of(content: &[u8]) -> String {
 async fn faults_of_the_service_pass_or_are_refused() {
     let Some(buckets) = Buckets::start().await else { return };
     let doors = doors(&buckets).await;
-    // Each third request is refused at first.
+    // Every third request is refused at first.
     buckets.set(Fault::Flaky(2, 2));
     let job = created(&doors, MINUTE.body(&options())).await;
     assert_eq!(ended(&doors, &job).await["state"], "SUCCEEDED");
-    // Downloads of inputs that break go on where they were.
+    // A download of an input that breaks continues where it broke.
     buckets.set(Fault::Cuts(5, 10_000));
     let job = created(&doors, MINUTE.body(&options())).await;
     assert_eq!(ended(&doors, &job).await["state"], "SUCCEEDED");
@@ -172,7 +174,7 @@ async fn faults_of_the_service_pass_or_are_refused() {
     buckets.set(Fault::Cuts(3, 1_000));
     assert!(bytes_of(&doors, &result).await == (StatusCode::OK, expected()));
     assert_eq!(buckets.fault(), Fault::None);
-    // What does not pass is refused, and leaves nothing.
+    // A fault that lasts refuses the job, and leaves no file.
     for (fault, code) in [
         (Fault::Away, "BUCKET_UNAVAILABLE"),
         (Fault::Refuses(99, "403 Forbidden", "SignatureDoesNotMatch"), "BUCKET_REFUSES"),
@@ -187,7 +189,8 @@ async fn faults_of_the_service_pass_or_are_refused() {
         assert_eq!(status, StatusCode::SERVICE_UNAVAILABLE, "{fault:?}");
     }
     buckets.set(Fault::None);
-    // Inputs that are gone, or are others. The first job keeps the second waiting.
+    // Inputs that are missing, or have other content. The second job waits for the end of the
+    // first.
     let folder = tempfile::tempdir().unwrap();
     let other = folder.path().join("other");
     std::fs::write(&other, vec![b'x'; MINUTE.rover.len()]).unwrap();
@@ -219,7 +222,7 @@ impl Drop for Process {
     }
 }
 
-/// A machine: its own folder, and the configuration of the service.
+/// A machine with a folder of its own, which also contains the configuration.
 struct Machine(tempfile::TempDir);
 
 impl Machine {
@@ -261,8 +264,8 @@ fn refused(output: &Output) -> String {
     code.unwrap_or_else(|| panic!("{text}")).to_owned()
 }
 
-/// Service and workers share a database and a bucket, and no folder. A worker is killed meanwhile;
-/// the other one goes on after its checkpoint.
+/// The service and its workers share a database and a bucket, but no folder. A worker is killed
+/// while it runs a job. Another worker continues after the checkpoint.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn workers_elsewhere_need_the_bucket_only() {
     let Some(buckets) = Buckets::start().await else { return };
@@ -289,7 +292,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
             let answer = curl(port, &format!("/{job}"), &[]).unwrap_or_default();
             serde_json::from_slice(&answer).unwrap_or_default()
         };
-        let job = create("{\"mode\": \"fgo\"}"); // Long enough to be cut off.
+        let job = create("{\"mode\": \"fgo\"}"); // Runs long enough to be killed.
         let checkpoints = async || buckets.names("fleet/checkpoints/").len();
         until("a checkpoint", checkpoints, |count| 0 < *count).await;
         worker.0.kill().unwrap();
@@ -306,7 +309,7 @@ async fn workers_elsewhere_need_the_bucket_only() {
         until("the checkpoints are removed", checkpoints, |count| *count == 0).await;
         assert_eq!((here.left(), third.left()), (0, 0));
         drop(other);
-        // Another bucket, and one that cannot be read.
+        // Another bucket is refused, and so is a bucket that cannot be read.
         let elsewhere = Machine::new(buckets, "elsewhere", 0);
         let answered = elsewhere.command("worker", &database).output().unwrap();
         assert_eq!(refused(&answered), "JOB_FOLDER_DIFFERS");
@@ -322,14 +325,15 @@ async fn workers_elsewhere_need_the_bucket_only() {
     .await;
 }
 
-/// Two nodes of a cluster with a folder each: one answers with what the other has computed.
+/// Two nodes of a cluster, each with a folder of its own. One node gives the result that the other
+/// has computed.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn nodes_need_the_bucket_only() {
     let Some(buckets) = Buckets::start().await else { return };
     let buckets = &buckets;
     on_postgres(async |database| {
-        // The second runs no jobs.
+        // The second node runs no jobs.
         let machines = [1, 0].map(|running| Machine::new(buckets, "nodes", running));
         let mut nodes = Vec::new();
         for (name, machine) in ["first", "second"].into_iter().zip(&machines) {

@@ -74,7 +74,7 @@ async fn answers_are_told_apart() {
     );
 }
 
-/// A head whose bytes arrive slowly one by one must still be complete within the limit for a head.
+/// The time limit for a head also holds if its bytes arrive slowly, one by one.
 #[tokio::test]
 async fn a_head_that_drips_is_given_up() {
     let caster = HostileCaster::start(|_, stream, _| {
@@ -232,7 +232,7 @@ async fn str2str_gives_its_stream_to_who_may_have_it() {
         let asked = StreamRequest { version, ..caster.request("BASE") };
         let mut stream = connected(&connector, &asked).await.unwrap();
         let sent: Vec<u8> = (0..40_000_u32).map(|i| ((i * 13) >> 3) as u8).collect();
-        // It drops data that arrives before a client is connected.
+        // `str2str` drops data that arrives before a client is connected.
         while timeout(Duration::from_millis(100), stream.read(&mut Vec::new())).await.is_err() {
             caster.source.write_all(&[0]).await.unwrap();
         }
@@ -255,7 +255,8 @@ async fn str2str_gives_its_stream_to_who_may_have_it() {
     }
 }
 
-/// A caster that computes a stream for the rover's position receives it, in the request and later.
+/// A caster that computes a stream for the rover's position receives this position in the request
+/// and again later.
 #[tokio::test]
 async fn a_position_is_sent_to_casters_that_need_it() {
     let (told, mut telling) = tokio::sync::mpsc::unbounded_channel();
@@ -293,8 +294,8 @@ fn pygnssutils(port: u16, version: &str) -> Option<Running> {
     Some(Running(running.unwrap()))
 }
 
-/// A stream through `pygnssutils`, of both versions; it names its only mountpoint itself. The head
-/// by which its version 2 grants a stream lacks the end of its first line.
+/// A stream through `pygnssutils`, by both versions of NTRIP. `pygnssutils` chooses the name of its
+/// only mountpoint. In version 2 the head of its answer lacks the end of the first line.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pygnssutils_gives_its_stream_to_who_may_have_it() {
     use std::io::Write;

@@ -45,7 +45,8 @@ impl Cluster {
         Some(cluster)
     }
 
-    /// Runs a program of Postgres in the folder, as its own user, for it refuses to run as root.
+    /// Runs a program of Postgres in the folder, as the user of Postgres: it refuses to run as
+    /// root.
     fn run(&self, program: &str, arguments: &[&str]) -> bool {
         let folder = self.folder.path();
         let is_root = fs::metadata("/proc/self").unwrap().uid() == 0;
@@ -83,7 +84,7 @@ impl Cluster {
         fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
     }
 
-    /// Waits until the server answers, and starts it where it has ended.
+    /// Waits until the server answers, and starts it if it has ended.
     async fn answers(&self) {
         let answers = async || {
             if PgConnection::connect(&self.url()).await.is_ok() {
@@ -104,8 +105,8 @@ impl Drop for Cluster {
     }
 }
 
-/// A disk that fails ends the processes of the server, and maybe the server. Once it answers again,
-/// the service does.
+/// A disk that fails ends the processes of the server, and perhaps the server itself. Once the
+/// server answers again, the service does, too.
 #[tokio::test]
 async fn the_disk_of_the_server_fails() {
     let Some(cluster) = Cluster::start() else { return };
@@ -123,7 +124,8 @@ async fn the_disk_of_the_server_fails() {
     service.finish().await;
 }
 
-/// As after a power failure, but for what the disk keeps in its own memory.
+/// The server is killed. This is like a power failure, except that the disk loses nothing of its
+/// own cache.
 #[tokio::test]
 async fn a_server_that_is_killed_loses_nothing() {
     let Some(cluster) = Cluster::start() else { return };

@@ -25,9 +25,9 @@ on_both_databases!(what_was_acknowledged_outlives_kill_9, a_window_outlives_kill
 const EPOCHS: u64 = 600;
 const BATCH: usize = 20;
 
-/// Delays of the kills after the first push (ms), spread over commit, answer and reading. With a
-/// seed in `GRAPHFIX_CRASH_SEED` each is random, up to twice its value here: the first ones are
-/// short, so that a fast machine is not done before the kill.
+/// Delays of the kills after the first push, spread over commit, answer and reading. With a seed in
+/// `GRAPHFIX_CRASH_SEED` each delay is random, up to twice the standard one. The first delays are
+/// short, so that the kill comes before a fast machine has finished.
 fn delays(standard_ms: [u64; 4]) -> [Duration; 4] {
     let Ok(seed) = std::env::var("GRAPHFIX_CRASH_SEED") else {
         return standard_ms.map(Duration::from_millis);
@@ -70,7 +70,7 @@ async fn what_was_acknowledged_outlives_kill_9(database: Database) {
         let resumed = opened(&channel, Some(&session)).await.durable_through;
         let last = acknowledged.keys().next_back().copied();
         assert!(last <= resumed, "acknowledged {last:?}, durable {resumed:?}");
-        // Some epochs are resent that may have been stored without an answer.
+        // Epochs without an answer are sent again. Some of them may be stored.
         let next = last.map_or(1, |last| last + 1);
         let pushing = push_on(&channel, &session, next, &mut acknowledged);
         let all = interrupted(pushing, delay, || server.kill()).await;
@@ -130,8 +130,8 @@ async fn whole(channel: &Channel, session: &str) -> Vec<v1::Solution> {
     SolutionsClient::new(channel.clone()).list(list).await.unwrap().into_inner().solutions
 }
 
-/// A window is more than its last solution: a session that is killed repeatedly gives the same
-/// solutions and revisions as one that is not. `graphfix replay` gives them too.
+/// Kills do not change the state of a window. A session whose service is killed repeatedly gives
+/// the same solutions and revisions as one that is not disturbed, and so does `graphfix replay`.
 async fn a_window_outlives_kill_9(database: Database) {
     let port = free_port();
     let mut server = Server::start(&database.url, port);
@@ -163,7 +163,8 @@ async fn a_window_outlives_kill_9(database: Database) {
     replayed(&database.url, &session, expected.len());
 }
 
-/// The output of `graphfix replay` for a session, and the file it writes for another configuration.
+/// Checks the output of `graphfix replay` for a session, and the file that it writes for another
+/// configuration.
 fn replayed(database: &str, session: &str, solutions: usize) {
     let replay = |arguments: &[&str]| server::replayed(database, session, arguments);
     let same = format!("{solutions} solutions compared, 0 different\n");
@@ -188,11 +189,11 @@ fn resident_kb(process: u32) -> u64 {
     line.split_whitespace().nth(1).unwrap().parse().unwrap()
 }
 
-/// Resident memory of one of many idle sessions of a mode (kB), including its task, mailbox and
-/// state, and the decoder of its bytes if they came `raw`. Its window has 30 epochs.
+/// Resident memory of one of many idle sessions of a mode (kB). It includes the task, the mailbox
+/// and the state, and the decoder if the session receives raw bytes. The window has 30 epochs.
 #[cfg(target_os = "linux")]
 async fn held_kb(mode: &str, raw: bool) -> f64 {
-    // As many as make the memory that is free and not returned small.
+    // With this many sessions, memory that is free but not returned to the system is a small part.
     const SESSIONS: usize = 600;
     const WARMING: usize = 50;
     let database = Database::sqlite();
@@ -247,6 +248,6 @@ async fn an_idle_window_holds_little() {
     let points = held_kb("spp", false).await;
     let (raw, window) = (held_kb("spp", true).await, held_kb("fgo", false).await);
     assert!(points <= 50.0 && raw <= 80.0, "spp {points} kB, of raw bytes {raw} kB");
-    // 117 to 145 kB in nine runs: it depends on the threads whose memory the states are in.
+    // Nine runs gave 117 to 145 kB. The figure depends on the threads that allocated the states.
     assert!(points < window && window <= 160.0, "spp {points} kB, fgo {window} kB");
 }

@@ -37,7 +37,7 @@ fn assert_failed(error: &SessionError) {
     assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
 }
 
-/// A lock on the committer's tables, held by another client.
+/// A lock on the committer's tables by another client.
 enum Lock {
     Sqlite(SqliteConnection),
     Postgres(PgConnection),
@@ -69,8 +69,8 @@ impl Lock {
     }
 }
 
-/// The epoch in the locked time is refused within the deadline. After it the session continues
-/// from the state in memory.
+/// An epoch is refused within the deadline while the database is locked. After the lock the session
+/// continues from the state in memory.
 async fn a_locked_database_is_refused_and_served_again(database: Database) {
     let store = database.store().await;
     let sessions = desk(&store).await;
@@ -92,7 +92,8 @@ async fn a_locked_database_is_refused_and_served_again(database: Database) {
     assert_eq!(sessions.counts().restores(), 0, "the state in memory was dropped");
 }
 
-/// As with `graphfix replay`: no migration, no commit, and another schema is refused.
+/// A store that is opened to read, as by `graphfix replay`, migrates and commits nothing. It
+/// refuses another schema.
 async fn a_store_opened_to_read_changes_nothing(database: Database) {
     let id = {
         let sessions = desk(&database.store().await).await;
@@ -128,8 +129,8 @@ async fn the_settings_of_the_database_are_reported(database: Database) {
     }
 }
 
-/// A role or server with `synchronous_commit` off would acknowledge epochs that a power failure
-/// loses.
+/// The service turns `synchronous_commit` on, even if the role or the server has it off. Without it
+/// the service would acknowledge epochs that a power failure loses.
 #[tokio::test]
 async fn commits_are_durable_whatever_the_server_says() {
     on_postgres(async |database| {

@@ -13,7 +13,7 @@ use crate::support::wait::stays;
 
 on_both_databases!(a_clock_that_steps_loses_nothing, descriptors_that_run_out_are_refused);
 
-/// Full, broken, not synchronising.
+/// The disk is full, broken, or does not synchronise.
 #[tokio::test]
 async fn a_disk_that_fails_is_refused_and_served_again() {
     let database = Database::sqlite();
@@ -24,8 +24,8 @@ async fn a_disk_that_fails_is_refused_and_served_again() {
     service.finish().await;
 }
 
-/// A commit that takes longer than its deadline is refused; it ends all the same, and the epoch is
-/// answered from the store.
+/// A commit that takes longer than its deadline is refused. It still ends, and a resent epoch is
+/// then answered from the store.
 #[tokio::test]
 async fn a_slow_disk_is_refused_and_served_again() {
     let database = Database::sqlite();
@@ -34,7 +34,8 @@ async fn a_slow_disk_is_refused_and_served_again() {
     service.finish().await;
 }
 
-/// Years back, all epochs lie in the future and are refused one by one; nothing else minds.
+/// The clock steps by 20 years back: epochs then lie in the future and are refused one by one.
+/// Steps of hours or a day refuse no epoch.
 async fn a_clock_that_steps_loses_nothing(database: Database) {
     let mut service = Failing::start(&database.url).await;
     service.push(1).await.unwrap();
@@ -48,7 +49,7 @@ async fn a_clock_that_steps_loses_nothing(database: Database) {
     service.finish().await;
 }
 
-/// Limits the descriptors of a running service.
+/// Limits the file descriptors of a running service.
 fn limit_descriptors(service: &Failing, limit: u64) {
     let process = service.server.process().to_string();
     let mut command = Command::new("prlimit");
@@ -69,7 +70,8 @@ async fn descriptors_that_run_out_are_refused(database: Database) {
     }
     limit_descriptors(&service, 3);
     if is_file {
-        // A connection that was being opened fails by the disk; after it none is opened.
+        // If a connection is just being opened, the broken disk makes it fail. No other is opened
+        // afterwards.
         let refused = async || service.push(2).await;
         stays("refused", Duration::from_secs(2), refused, Result::is_err).await;
     }

@@ -1,5 +1,5 @@
-//! Forged ephemerides: they replace, contradict and evict nothing of higher trust, and those of a
-//! device move its own session only.
+//! Forged ephemerides replace, contradict and evict no data of higher trust. Forged ephemerides of
+//! a device affect the session of this device only.
 
 use axum::body::Body;
 use axum::http::Request;
@@ -49,7 +49,7 @@ fn real() -> Navigation {
     real
 }
 
-/// The same with orbits 2.7 km off, `shift_s` later.
+/// [`real`] ephemerides with orbits 2.7 km off and reference times `shift_s` later.
 fn forged(shift_s: f64) -> Navigation {
     let mut forged = Navigation::default();
     for ephemeris in real().satellites().flat_map(|(_, list)| list) {
@@ -75,7 +75,7 @@ async fn forged_ephemerides_move_nobody(database: Database) {
     assert!(8 < first.new, "{first:?}");
     let device = device("A");
     for source in [UPLOAD, &device, "base ntrip://caster.example/BASE"] {
-        // The same issue, and one beside it that would be nearer to some epochs.
+        // The same reference time, and later ones that would be nearer to some epochs.
         for shift_s in [0.0, 16.0, 1800.0] {
             let refused = pushed(&aiding, forged(shift_s), source).await;
             assert_eq!((refused.new, refused.dropped), (0, 0), "{source} {shift_s}");
@@ -83,7 +83,7 @@ async fn forged_ephemerides_move_nobody(database: Database) {
     }
     let push = aiding.navigation.current().push;
     assert_eq!((push, &*aiding.navigation.current().navigation), (1, &real()));
-    // Who brought what is known after a restart.
+    // The sources of ephemerides are known after a restart.
     let again = desk(&database).await;
     assert_eq!(pushed(&again, forged(16.0), UPLOAD).await.new, 0);
 }
@@ -95,7 +95,7 @@ async fn forged_ephemerides_evict_nothing(database: Database) {
     for index in 1..480 {
         many.merge(forged(f64::from(index) * 20_000.0));
     }
-    // A base's stream fills what room there is, and a device takes none of it.
+    // The stream of a base fills the free room. A device takes none of this room.
     pushed(&aiding, many.clone(), BASE).await;
     let more = pushed(&aiding, forged(480.0 * 20_000.0), BASE).await;
     assert_eq!((more.new, more.dropped), (0, 0));
@@ -105,11 +105,11 @@ async fn forged_ephemerides_evict_nothing(database: Database) {
     let current = aiding.navigation.current().navigation;
     let is_there = |ephemeris: &Ephemeris| current.of(ephemeris.satellite()).contains(ephemeris);
     assert!(real().satellites().flat_map(|(_, list)| list).all(is_there));
-    // The operator's data are taken all the same: forged ones make room.
+    // The operator's data are still accepted: forged ephemerides are dropped for them.
     let mut later = real();
     later.merge(forged(500.0 * 20_000.0));
     let taken = pushed(&aiding, later, OPERATOR).await;
-    // The same ephemerides become the operator's, and one more of each satellite comes.
+    // The uploaded ephemerides become the operator's, and each satellite gets one more.
     assert!(taken.new == 2 * taken.dropped && 8 < taken.dropped, "{taken:?}");
     let current = aiding.navigation.current().navigation;
     assert!(
@@ -126,13 +126,13 @@ async fn the_operators_data_end_forged_ones(database: Database) {
     let taken = pushed(&aiding, real(), OPERATOR).await;
     assert_eq!((taken.new, taken.dropped), (offered.new, offered.new));
     assert_eq!(*aiding.navigation.current().navigation, real());
-    // What earlier solutions were computed with is known.
+    // The data with which earlier solutions were computed are known.
     let before = aiding.navigation.after(1, &device("A")).await.unwrap();
     assert_eq!(*before.navigation, forged(16.0));
     assert_eq!(*desk(&database).await.navigation.current().navigation, real());
 }
 
-/// What serves the session of a device.
+/// The navigation data that serve the session of a device.
 fn of_device(aiding: &AidingDesk, name: &str) -> Navigation {
     Navigation::clone(&aiding.navigation.current_for(&device(name)).navigation)
 }
@@ -149,7 +149,7 @@ async fn what_one_device_decodes_serves_it_alone(database: Database) {
         assert_eq!(of_device(aiding, "A"), real());
         assert_eq!(of_device(aiding, "B"), forged(0.0));
         assert!(of_device(aiding, "C").is_empty());
-        // What was in force for each of them at each push.
+        // The data that were in force for each device after each push.
         let after = async |push, name: &str| {
             let known = aiding.navigation.after(push, &device(name)).await.unwrap();
             (*known.navigation).clone()
@@ -157,7 +157,7 @@ async fn what_one_device_decodes_serves_it_alone(database: Database) {
         assert_eq!((after(1, "A").await, after(1, "B").await), (real(), Navigation::default()));
         assert_eq!((after(2, "A").await, after(2, "B").await), (real(), forged(0.0)));
     }
-    // Its own ephemerides come before those that anybody has uploaded, but not before the operator's.
+    // A device's own ephemerides come before uploads, but not before the operator's.
     pushed(&aiding, forged(16.0), UPLOAD).await;
     assert_eq!((of_device(&aiding, "A"), of_device(&aiding, "C")), (real(), forged(16.0)));
     pushed(&aiding, real(), OPERATOR).await;
@@ -178,7 +178,7 @@ async fn what_two_devices_decode_serves_all(database: Database) {
         }
         let status = aiding.navigation.status();
         assert!(status.satellites.iter().all(|satellite| satellite.source == AGREED));
-        // Forged ones come too late, whoever brings them.
+        // Forged ephemerides that come later are refused from every source.
         for source in [&*device("B"), &*device("E"), UPLOAD] {
             assert_eq!(pushed(aiding, forged(16.0), source).await.new, 0, "{source}");
         }
@@ -198,7 +198,7 @@ async fn what_two_devices_decode_ends_forged_uploads(database: Database) {
     for aiding in [&aiding, &desk(&database).await] {
         assert_eq!((of_device(aiding, "A"), of_device(aiding, "C")), (real(), real()));
     }
-    // An upload confirms a device as another device does.
+    // An upload confirms the data of a device, as another device does.
     let later = |shift_s| {
         let mut later = forged(shift_s);
         later.retain(|ephemeris| ephemeris.satellite().number < 16);
@@ -224,7 +224,7 @@ async fn coefficients_of_one_device_serve_it_alone(database: Database) {
         assert_eq!(known, [with(1e-8), with(1e-6), Navigation::default()]);
     }
     pushed(&aiding, with(1e-8), &device("C")).await;
-    // Those of the next day, once two devices have them.
+    // The coefficients of the next day serve all once two devices have sent them.
     pushed(&aiding, with(2e-8), &device("A")).await;
     assert_eq!(of_device(&aiding, "D"), with(1e-8));
     pushed(&aiding, with(2e-8), &device("C")).await;
@@ -249,7 +249,8 @@ async fn nothing_of_a_device_ends_for_another(database: Database) {
     }
 }
 
-/// Minutes under an open sky of GPS alone, with its ephemerides as a receiver sends them.
+/// Epochs of 20 s under an open sky with GPS alone, its ephemerides as a receiver sends them, and
+/// forged ones in the same form.
 fn open_sky() -> (Vec<SequencedEpoch>, Vec<u8>, Vec<u8>) {
     let constellations = vec![Constellation::Gps];
     let sky = Scenario { duration_s: 20.0, constellations, ..Scenario::open_sky() };
@@ -265,7 +266,7 @@ fn open_sky() -> (Vec<SequencedEpoch>, Vec<u8>, Vec<u8>) {
     ((1..).zip(simulator.map(|epoch| epoch.rover)).map(number).collect(), frames, forged)
 }
 
-/// The frames of a device.
+/// Sends the frames of a device to its session.
 async fn sent(sessions: &Sessions, id: &SessionId, frames: &[u8], near: &SequencedEpoch) {
     let content = Bytes::copy_from_slice(frames);
     let chunk = RawChunk { offset: 0, content, is_end: true, near: Some(near.epoch.time) };
@@ -282,7 +283,7 @@ async fn positions(
     outcomes.into_iter().map(|outcome| outcome.result.unwrap().solution.solution).collect()
 }
 
-/// Through sessions: positions before and after forged ephemerides, restarts and replays.
+/// Positions of sessions before and after forged ephemerides, after a restart and in a replay.
 #[tokio::test]
 async fn a_device_moves_its_own_session_only() {
     let database = Database::sqlite();
@@ -309,13 +310,14 @@ async fn a_device_moves_its_own_session_only() {
     assert!(without.iter().all(|solution| solution.status == Status::None));
     drop(sessions);
 
-    // After a restart each session has the same data; then another device confirms.
+    // After a restart another device confirms the honest ephemerides, so that all sessions get
+    // them.
     let sessions = open().await;
     let (alone, second) = (created(&sessions).await, created(&sessions).await);
     sent(&sessions, &alone, &frames, &epochs[0]).await;
     let confirmed = positions(&sessions, &second, &epochs[..10]).await;
     let honest_then = positions(&sessions, &honest, &epochs[5..10]).await;
-    // Each session begins its search at its own last position, so the last bits may differ.
+    // Each session begins its iteration at its own last position, so the last bits may differ.
     let is_same = |positions: &[Solution]| {
         let pairs = positions.iter().zip(&honest_then);
         pairs.map(|(one, other)| far_m(one, other)).all(|far| far.is_some_and(|far| far < 1e-3))
@@ -333,8 +335,8 @@ async fn a_device_moves_its_own_session_only() {
     }
 }
 
-/// All devices of a tenant are one source: what they bring serves the tenant, and is confirmed by
-/// others only.
+/// All devices of a tenant are one source. Their data serve the tenant, and only devices of another
+/// tenant confirm them.
 #[tokio::test]
 async fn the_devices_of_a_tenant_serve_the_tenant_alone() {
     let database = Database::sqlite();
@@ -380,7 +382,8 @@ fn is_single(answer: &Value) -> bool {
     answer["results"][0]["solution"]["status"] == "SINGLE"
 }
 
-/// Through both doors: who gets a position with the ephemerides of a device.
+/// Through both doors the ephemerides of a device serve its own session only, until another device
+/// sends the same.
 #[tokio::test]
 async fn through_the_doors_a_device_serves_itself_alone() {
     let doors = Doors::open().await;
@@ -398,7 +401,7 @@ async fn through_the_doors_a_device_serves_itself_alone() {
     let (status, sent) = doors.upload(&raw(&one), frames.clone()).await;
     assert!(status.is_success() && sent["ephemerides"].as_u64().unwrap() > 8, "{sent}");
     assert!(positioned(&one).await && !positioned(&other).await);
-    // The second device sends the same through gRPC.
+    // The second device sends the same ephemerides through gRPC.
     let request = v1::PushRawRequest {
         session: third.clone(),
         offset: 0,

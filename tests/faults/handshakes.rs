@@ -11,14 +11,14 @@ use crate::support::server::{Server, free_port};
 use crate::support::tls::{Authority, Files, connected, last_words, meter, page, text};
 use crate::support::wait::until;
 
-/// The head of a record of a handshake, of a message with this many bytes.
+/// The beginning of a handshake record, whose message claims this many bytes.
 fn client_hello(length: u16) -> Vec<u8> {
     let [high, low] = length.to_be_bytes();
     let [record_high, record_low] = 0x3fff_u16.to_be_bytes();
     vec![22, 3, 1, record_high, record_low, 1, 0, high, low, 3, 3]
 }
 
-/// A connection on which these bytes were sent, as far as the service takes them.
+/// A connection on which these bytes are sent, as far as the service takes them.
 async fn sent(port: u16, bytes: &[u8]) -> TcpStream {
     let mut stream = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
     // Err: the service has closed it already.
@@ -52,7 +52,7 @@ async fn silent_and_half_handshakes_are_closed_in_time() {
     assert!(begun.elapsed() < Duration::from_secs(20), "{:?}", begun.elapsed());
 }
 
-/// The time limit is far away: what is wrong or too long is closed at once.
+/// A handshake that is wrong or too long is closed long before its time limit.
 #[tokio::test]
 async fn garbage_and_long_handshakes_are_closed_at_once() {
     let authority = Authority::new("ours");
@@ -76,7 +76,7 @@ async fn garbage_and_long_handshakes_are_closed_at_once() {
     assert!(is_served(port, &authority).await);
 }
 
-/// The buffer of the encryption hides no reader that reads nothing.
+/// A peer that reads nothing is closed, although TLS has a buffer of its own.
 #[tokio::test]
 async fn a_silent_reader_is_closed() {
     let authority = Authority::new("ours");
@@ -84,18 +84,18 @@ async fn a_silent_reader_is_closed() {
     let limits = Limits { body_silence_s: 1, ..Limits::standard() };
     let (_service, port) = files.serve(files.configuration(None), limits).await;
     let mut stream = connected(port, &authority.client(None, "http/1.1")).await.unwrap();
-    // More answers than the buffers of both systems take.
+    // The answers are more than the buffers of both systems take.
     let requests = "GET /openapi.json HTTP/1.1\r\nhost: localhost\r\n\r\n".repeat(1000);
     let asked = stream.write_all(requests.as_bytes());
-    // Err: the service has stopped reading, too.
+    // Err: the service has stopped reading.
     tokio::time::timeout(Duration::from_secs(1), asked).await.ok();
     let open = async || meter(port, &authority, "graphfix_connections").await;
     until("closed", open, |open| *open == 1.0).await;
     drop(stream);
 }
 
-/// Connections in their handshake count. Each takes 16 kB from its peer at most, and some 105 kB of
-/// resident memory with all buffers.
+/// Connections in their handshake count in the limit of connections. The service accepts at most
+/// 16 kB of such a peer, and uses about 105 kB of resident memory for it, with all buffers.
 #[cfg(target_os = "linux")]
 #[tokio::test]
 async fn many_half_handshakes_need_little_memory() {
@@ -121,7 +121,7 @@ async fn many_half_handshakes_need_little_memory() {
     assert!(is_served(server.port, &authority).await);
     let more = resident_bytes(server.process()).saturating_sub(idle);
     assert!(more < 72 << 20, "{more} bytes for {} handshakes", hostile.len());
-    // Beyond the limit of connections nobody begins a handshake.
+    // Connections beyond the limit begin no handshake.
     for _ in 0..20 {
         hostile.push(sent(server.port, &half).await);
     }
@@ -130,7 +130,7 @@ async fn many_half_handshakes_need_little_memory() {
     until("served again", async || tried(server.port, &authority).await, |served| *served).await;
 }
 
-/// Whether the service takes a connection now.
+/// Whether the service completes a handshake now.
 async fn tried(port: u16, authority: &Authority) -> bool {
     let client = authority.client(None, "http/1.1");
     connected(port, &client).await.is_ok()

@@ -1,6 +1,6 @@
 //! Clients that try to exhaust the service: each is refused, and others are served meanwhile.
 //!
-//! `scripts/hostile` measures the same clients in full size: memory, and the delay of others.
+//! `scripts/hostile` has more of the same clients, and measures memory and the delay of others.
 
 use std::io::Write;
 use std::time::Duration;
@@ -97,13 +97,14 @@ async fn half_bodies_use_bounded_memory_and_end() {
         answers.push(answer(stream).await);
     }
     let count = |text: &str| answers.iter().filter(|answer| answer.contains(text)).count();
-    // Three of 4 MB fit into three quarters of 16 MB less what every request uses: two do.
+    // Bodies have three quarters of 16 MB, from which each request takes some more than its body:
+    // two bodies of 4 MB fit, and three do not.
     assert_eq!((count("BODY_TOO_SLOW"), count("MEMORY_EXHAUSTED")), (2, 8), "{answers:?}");
     assert_eq!((count("408 Request Timeout"), count("retry-after: 1")), (2, 8), "{answers:?}");
     until("returned", async || budget.used(), |used| *used == 0).await;
 }
 
-/// Eight million empty epochs have 16 MB, and 16 kB packed.
+/// Empty epochs need few bytes: four million are 12 MB of JSON, and much less when packed.
 #[tokio::test]
 async fn empty_epochs_are_counted_before_they_are_decoded() {
     let doors = Doors::open().await;
@@ -140,8 +141,8 @@ fn line(content: &str, label: &str) -> String {
     format!("{content:<60}{label}\n")
 }
 
-/// A CRINEX file: 32 satellites with four observations each, of which every epoch after the first
-/// needs eight bytes a satellite.
+/// A CRINEX file with 32 satellites of four observations each. Every epoch after the first needs
+/// eight bytes a satellite.
 fn compact_file(epochs: usize) -> String {
     let marker = "  4033460.7500    23538.0200  4924318.3900";
     let mut text = line("3.0                 COMPACT RINEX FORMAT", "CRINEX VERS   / TYPE")
@@ -185,7 +186,7 @@ async fn files_that_unpack_to_much_are_refused_while_they_are_read() {
     assert_eq!(doors.service.budget().used(), 0);
 }
 
-/// Packed, a chunk of 20 kB completes thousands of epochs.
+/// A packed chunk of 20 kB completes thousands of epochs, which are counted.
 #[tokio::test]
 async fn a_packed_chunk_hides_no_epochs() {
     let doors = Doors::open().await;
@@ -218,8 +219,8 @@ async fn texts_are_short_and_printable() {
     assert!(refusal["detail"].as_str().unwrap().len() < 300, "{refusal}");
 }
 
-/// A web page reaches a service on this machine under a name of its own, or without reading the
-/// answer: neither is served.
+/// A web page of somebody else can send requests to a service on this machine. It can use a host
+/// name of its own, or send requests whose answers it cannot read. Neither is served.
 #[tokio::test]
 async fn web_pages_of_others_are_refused() {
     let doors = Doors::open().await;
@@ -246,7 +247,8 @@ async fn web_pages_of_others_are_refused() {
     let router = graphfix::http::router(&listed);
     let request = Request::get("/healthz").header("host", "gnss.example").body(Body::empty());
     assert_eq!(router.oneshot(request.unwrap()).await.unwrap().status(), StatusCode::OK);
-    // What a page may send unasked has none of the content types that calls take.
+    // Browsers let a page send these content types to other hosts without asking. No call takes
+    // them.
     let session = doors.session().await;
     for path in ["/v1/navigation", "/v1/sessions", &format!("/v1/sessions/{session}/raw")] {
         for kind in ["text/plain", "application/x-www-form-urlencoded", "multipart/form-data"] {
@@ -307,7 +309,7 @@ async fn connections_have_a_limit_in_all_and_from_one_address() {
     until("served again", async || is_served(port).await, |served| *served).await;
 }
 
-/// What one request may compute is bounded by time and by the window.
+/// The computation of one request is bounded by time and by the length of the window.
 #[tokio::test]
 async fn a_solve_has_a_largest_cost() {
     let doors = Doors::with(Limits { solve_s: 0, ..Limits::standard() }).await;
@@ -328,7 +330,7 @@ async fn a_solve_has_a_largest_cost() {
     assert_eq!(at_fault, ("TOO_COSTLY", Some("overrides.window_epochs_max")), "{refusal}");
 }
 
-/// Packing pays from a kilobyte on.
+/// Answers are packed from a kilobyte on; packing shorter ones saves nothing.
 #[tokio::test]
 async fn short_answers_are_not_packed() {
     let doors = Doors::open().await;
@@ -343,6 +345,6 @@ async fn short_answers_are_not_packed() {
         (body[0], body.len())
     };
     assert_eq!(flag("/graphfix.v1.Navigation/Status", Vec::new()).await.0, 0);
-    // A session has its whole configuration.
+    // The answer has the whole configuration of the session, so it is long.
     assert_eq!(flag("/graphfix.v1.Sessions/Create", Vec::new()).await.0, 1);
 }

@@ -1,4 +1,5 @@
-//! Batch jobs through `kill -9`, as curl uploads them: none is lost, none has two results.
+//! Batch jobs that curl uploads, while `kill -9` ends the service: no job is lost, and none has two
+//! results.
 
 use std::path::Path;
 use std::process::Command;
@@ -22,7 +23,7 @@ fn json(arguments: &[&str]) -> Value {
     curl(arguments).and_then(|text| serde_json::from_slice(&text).ok()).unwrap_or_default()
 }
 
-/// A service whose jobs are in `folder`, once it answers.
+/// Starts a service whose jobs are in `folder`, and waits until it answers.
 async fn started(database: &Database, folder: &Path, port: u16) -> Server {
     let configuration = folder.join("graphfix.toml");
     let jobs = folder.join("jobs");
@@ -69,6 +70,6 @@ async fn jobs_outlive_kill_9(database: Database) {
         assert_eq!(result, LONG.solved(&["--mode", mode], "pos"));
     }
     let results = std::fs::read_dir(folder.path().join("jobs/results")).unwrap().count();
-    // Each of the two has its figures beside it.
+    // Each of the two jobs has a result and its figures.
     assert_eq!(results, 4, "results of interrupted runs are left");
 }

@@ -17,8 +17,8 @@ async fn alone(url: &str, node: &str) -> Result<Store, StoreError> {
     Store::open_alone(url, node).await
 }
 
-/// The store once the lease is free: a process that another test starts has the files of this one
-/// open for a moment, and with them the lock.
+/// Opens the store once the lease is free. A process that another test starts inherits the open
+/// files of this process, and with them the lock, for a moment.
 async fn alone_at_last(url: &str, node: &str) -> Store {
     until("free", async || alone(url, node).await.map_err(|error| error.to_string()), Result::is_ok)
         .await
@@ -30,7 +30,7 @@ async fn a_second_service_is_refused_by_name(database: Database) {
     let refused = alone(&database.url, "second").await.unwrap_err();
     assert_eq!(refused.code().name(), "DATABASE_IN_USE");
     assert!(refused.to_string().contains("first"), "{refused}");
-    // Meanwhile a replay may read.
+    // A replay may read while a service has the lease.
     Store::open_read_only(&database.url).await.unwrap().close().await;
     let sessions = desk(&first).await;
     let id = created(&sessions).await;
@@ -42,7 +42,8 @@ async fn a_second_service_is_refused_by_name(database: Database) {
     second.close().await;
 }
 
-/// Two writers without a lease: the session's head shows that the other one has closed it.
+/// Two writers without a lease: the head of the session shows one writer that the other has closed
+/// the session.
 async fn a_session_closed_elsewhere_takes_no_epoch(database: Database) {
     let one = desk(&database.store().await).await;
     let other = desk(&database.store().await).await;
@@ -58,7 +59,8 @@ async fn a_session_closed_elsewhere_takes_no_epoch(database: Database) {
     assert_eq!(one.get(&id).await.unwrap().durable_through, Some(1));
 }
 
-/// After a later service has committed to the session, an earlier one cannot commit to it any more.
+/// After a service with a higher fence has committed to a session, one with a lower fence cannot
+/// commit to it any more.
 async fn nothing_is_committed_below_the_fence(database: Database) {
     let store = alone(&database.url, "first").await.unwrap();
     let sessions = desk(&store).await;
@@ -83,7 +85,7 @@ async fn a_service_that_lost_the_lease_commits_nothing() {
         let sessions = desk(&first).await;
         let id = created(&sessions).await;
         sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
-        // The second waits for the lease when the first loses its connection.
+        // The second service already waits for the lease when the first loses its connection.
         let url = database.url.clone();
         let second = tokio::spawn(async move { alone(&url, "second").await });
         let mut server = PgConnection::connect(&database.url).await.unwrap();
@@ -109,7 +111,7 @@ async fn a_service_that_lost_the_lease_commits_nothing() {
         let answer = others.submit(&id, vec![epoch(2, 2.0)]).await.unwrap();
         assert!(!answer.outcomes[0].result.as_ref().unwrap().resent);
         second.close().await;
-        // The first gets the lease again, but what it has in memory is outdated.
+        // The first service gets the lease again, but its data in memory are outdated.
         let lost = first.lease_lost().await;
         assert_eq!(lost.code().name(), "LEASE_LOST");
         assert!(lost.to_string().contains("second"), "{lost}");

@@ -1,4 +1,5 @@
-//! Faults: crashes, failing databases, hostile casters, receivers that jump and lose satellites.
+//! Faults: crashes, failing databases, hostile casters and clients, and receivers whose clock steps
+//! or that lose satellites.
 
 #[cfg(feature = "s3")]
 mod buckets;

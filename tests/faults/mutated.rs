@@ -1,8 +1,8 @@
-//! Mutated requests through both doors: each is answered or refused, none fails inside the service,
-//! and none keeps memory.
+//! Mutated requests through both doors. Each is answered or refused, none fails inside the service,
+//! and afterwards no memory is reserved.
 //!
-//! Each target runs for half a second. `scripts/fuzz SECONDS` runs each longer, from other seeds;
-//! `GRAPHFIX_FUZZ_S` and `GRAPHFIX_FUZZ_SEED` say how long, and from which.
+//! Each target runs for half a second. `scripts/fuzz SECONDS` runs each target longer and from
+//! other seeds, by the variables `GRAPHFIX_FUZZ_S` (duration) and `GRAPHFIX_FUZZ_SEED`.
 
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ use crate::support::streams::{Random, mutate};
 const JSON: &str = "application/json";
 const OCTETS: &str = "application/octet-stream";
 const GRPC: &str = "application/grpc";
-/// The statuses of gRPC that say that the service has failed.
+/// The statuses of gRPC that mean that the service has failed.
 const FAILURES: [&str; 5] = ["2", "13", "14", "15", "unreadable"];
 
 fn variable(name: &str) -> Option<f64> {
@@ -42,7 +42,7 @@ fn framed(message: &[u8], is_packed: bool) -> Vec<u8> {
     [&[u8::from(is_packed)][..], &(message.len() as u32).to_be_bytes(), message].concat()
 }
 
-/// Asks the service what `request` makes of mutated seeds, until the time is over.
+/// Sends the service the requests that `request` makes of mutated seeds, until the time is over.
 async fn survives(
     doors: &Doors,
     seeds: &[Vec<u8>],
@@ -105,8 +105,8 @@ async fn json_is_survived() {
     survives(&doors, &[base.to_string().into_bytes()], |body| post("/v1/bases", JSON, body)).await;
 }
 
-/// Protobuf, plain and packed: what is counted before it is decoded agrees with what is decoded, or
-/// the message is refused.
+/// Protobuf, plain and packed. The service counts epochs before it decodes them: a mutated message
+/// must not pass the counter and then fail inside the service.
 #[tokio::test]
 async fn messages_are_survived() {
     let doors = Doors::open().await;

@@ -1,5 +1,5 @@
-//! The navigation data in memory are those that are stored, whatever becomes of a push; and replay
-//! gets what was in force.
+//! The navigation data in memory are always the stored ones, however a push ends. A replay gets the
+//! data that were in force.
 
 use futures::poll;
 use graphfix::aiding::{AidingDesk, AidingLimits, UPLOAD, device};
@@ -22,8 +22,9 @@ async fn desk(database: &Database) -> AidingDesk {
     AidingDesk::open(database.store().await, AidingLimits::service()).await.unwrap()
 }
 
-/// Ephemerides of some satellites, later than those of the drive by so much that those of different
-/// numbers do not contradict each other, and with every fourth number coefficients.
+/// Ephemerides of some satellites, later than those of the drive. The reference times of different
+/// numbers are far apart, so they do not contradict each other. Every fourth number also has
+/// ionosphere coefficients.
 fn later(number: u32) -> Navigation {
     let mut later = Navigation::default();
     for (index, (_, list)) in DRIVE.navigation.satellites().enumerate() {
@@ -41,8 +42,8 @@ fn later(number: u32) -> Navigation {
     later
 }
 
-/// A desk that begins anew gets the data after each push, in any order of pushes, as they were for
-/// a device with data of its own and for one without.
+/// A newly opened desk finds the data after each push, in any order of pushes. They are as they
+/// were, for devices with data of their own and for one without.
 async fn past_navigation_data_are_those_that_were_in_force(database: Database) {
     let (live, devices) = (desk(&database).await, [device("A"), device("B"), device("none")]);
     let mut expected = Vec::new();
@@ -68,7 +69,7 @@ async fn past_navigation_data_are_those_that_were_in_force(database: Database) {
     }
 }
 
-/// The caller goes at any moment of a push: what is stored is also in memory.
+/// The caller drops a push at any moment. If the push is stored, it is also in memory.
 async fn a_push_whose_caller_has_gone_is_known(database: Database) {
     let live = desk(&database).await;
     for polls in 1..30 {
@@ -90,7 +91,8 @@ async fn a_push_whose_caller_has_gone_is_known(database: Database) {
     until("all is known", known, |known| known.navigation == stored.navigation).await;
 }
 
-/// Another desk on the same database stores a push as if its commit had not been confirmed.
+/// Another desk on the same database stores a push that the first desk does not know. For the first
+/// desk this is like a push of its own whose commit was not confirmed.
 async fn a_push_that_was_not_confirmed_becomes_known(database: Database) {
     let (live, other) = (desk(&database).await, desk(&database).await);
     live.navigation.push(later(1), OPERATOR).await.unwrap();

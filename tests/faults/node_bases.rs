@@ -28,7 +28,7 @@ use crate::support::pair::PAIR;
 use crate::support::server::{get_with, replayed};
 use crate::support::wait::until;
 
-/// Between epochs of the base and the rover: ten times as fast as real ones.
+/// Time between epochs of the base and the rover. They come ten times as fast as real ones.
 const PACE: Duration = Duration::from_millis(100);
 
 async fn navigate(channel: &Channel, navigation: &Navigation) {
@@ -61,7 +61,7 @@ async fn session_at(node: &Node, mode: &str, profile: &str, base: &str) -> Strin
     answer.into_inner().session
 }
 
-/// Pushes an epoch of the pair to a base through a node until it is taken.
+/// Pushes an epoch of the pair to a base through a node, until the push is accepted.
 async fn push_base(node: &Node, base: &str, index: usize) {
     let epochs = vec![convert::epoch_message(0, &PAIR.base[index])];
     let push = v1::PushBaseEpochsRequest { base: base.to_owned(), epochs };
@@ -70,7 +70,8 @@ async fn push_base(node: &Node, base: &str, index: usize) {
     assert!(answer.results[0].refusal.is_none(), "{answer:?}");
 }
 
-/// Pushes an epoch of the pair's rover through a node until it is answered.
+/// Pushes an epoch of the pair's rover through a node, until it is answered. Returns the answer and
+/// the node that gave it.
 async fn push_rover(node: &Node, session: &str, index: usize) -> (v1::Solution, String) {
     let rover = &PAIR.rover[index];
     let epochs = vec![convert::epoch_message(rover.seq, &rover.epoch)];
@@ -88,13 +89,13 @@ fn is_replayed(database: &Database, session: &str) {
     assert!(is_equal, "{session}: {text}{error}");
 }
 
-/// The age of the base's epoch with which a solution was made (s), if it is relative to a base.
+/// The age of a solution's base epoch (s), if the solution is relative to a base.
 fn base_age_s(solution: &v1::Solution) -> Option<f64> {
     solution.relative.as_ref().map(|relative| relative.age_s)
 }
 
-/// A base that is pushed through either node, sessions at the node that does not lead, and each of
-/// the nodes killed in turn.
+/// A base whose epochs are pushed through either node, and sessions at the node that does not lead.
+/// Each of the nodes is killed in turn.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn sessions_elsewhere_are_fixed_and_move() {
     on_postgres(async |database| {
@@ -116,12 +117,13 @@ async fn sessions_elsewhere_are_fixed_and_move() {
             }
             tokio::time::sleep(PACE).await;
         };
-        // A session is that of the first node which is asked.
+        // The node that gets the first push of a session claims the session.
         for index in 0..60 {
             advance([&second, &first], "second", index).await;
         }
         first.kill();
-        // The other one leads once the lease has ended, and takes the next epochs of the base.
+        // The second node leads once the lease of the first has ended, and then accepts base
+        // epochs.
         for index in 60..90 {
             advance([&second, &second], "second", index).await;
         }
@@ -136,7 +138,7 @@ async fn sessions_elsewhere_are_fixed_and_move() {
             let ages = solutions.iter().filter_map(base_age_s);
             let oldest_s = ages.fold(0.0, f64::max);
             eprintln!("{spans:?} fixed of 60, 30 and 40; oldest base epoch {oldest_s} s");
-            // A minute suffices for the first fix; a replayed session has not lost it.
+            // A minute is enough for the first fix, and a session that is restored keeps its fix.
             assert!(20 < spans[0] && spans[1] == 30 && spans[2] == 40, "{spans:?}");
             is_replayed(&database, session);
         }
@@ -144,7 +146,8 @@ async fn sessions_elsewhere_are_fixed_and_move() {
     .await;
 }
 
-/// A file of a base through the node that does not lead: its session there has all of it.
+/// A file of a base is uploaded through the node that does not lead. Sessions at both nodes have
+/// all epochs of the file.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_file_of_a_base_is_known_everywhere() {
     on_postgres(async |database| {
@@ -177,7 +180,7 @@ async fn a_file_of_a_base_is_known_everywhere() {
     .await;
 }
 
-/// Bytes that the feed of a base has received at the present leader, and its state.
+/// Bytes that the feed of a base has received at the present leader, and the state of the feed.
 fn feed(node: &Node, base: &str) -> (u64, String) {
     let answer = get_with(node.port, &format!("/v1/bases/{base}"), "").map(|(_, body)| body);
     let base: Value = serde_json::from_str(&answer.unwrap_or_default()).unwrap_or_default();
@@ -209,8 +212,8 @@ async fn push_raw(node: &Node, session: &str, from: usize, bytes: &[u8]) -> Vec<
     solutions
 }
 
-/// A caster fills the base at the leader; when that is killed, the other node asks the caster, and
-/// its session goes on.
+/// A caster fills the base at the leader. When the leader is killed, the other node connects to the
+/// caster, and its session continues.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_caster_is_asked_by_the_next_leader() {
     let Some((rover, base_log)) = logs() else { return };
@@ -248,7 +251,7 @@ async fn a_caster_is_asked_by_the_next_leader() {
         until("filled", async || feed(&second, &base), has(lengths[0])).await;
         assert_eq!(caster.connections.load(Ordering::SeqCst), 1, "only the leader asks");
 
-        // It knows the base's epochs from when it is created on.
+        // A session gets the epochs that the base has when the session is created, and later ones.
         let session = session_at(&second, "rtk-fgo", "static", &base).await;
         let (begin, half) = (rover.len() / 20, rover.len() / 2);
         let mut before = push_raw(&second, &session, 0, &rover[..begin]).await;
@@ -265,8 +268,8 @@ async fn a_caster_is_asked_by_the_next_leader() {
     .await;
 }
 
-/// A base that moves with each epoch, at a node that follows: no epoch is seen there without the
-/// position that the base had then, or a later one.
+/// A base moves with each epoch. A node that follows sees no epoch before the position of the base
+/// at this epoch, or a later position.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn no_epoch_is_seen_without_its_position() {
     on_postgres(async |database| {

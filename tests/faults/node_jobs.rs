@@ -49,7 +49,7 @@ fn curl(node: &Node, path: &str, arguments: &[&str]) -> Option<Vec<u8>> {
     output.status.success().then_some(output.stdout)
 }
 
-/// A new job of these files.
+/// Creates a job of these files.
 fn create(node: &Node, files: &[PathBuf; 3], options: &Value) -> String {
     let form = form(files, &options.to_string());
     let arguments: Vec<&str> = form.iter().map(String::as_str).collect();
@@ -75,7 +75,7 @@ fn runs(job: &Value) -> bool {
     job["progress"]["epochs"].as_u64().is_some_and(|epochs| 0 < epochs)
 }
 
-/// Jobs through both nodes, one of which is killed while it runs some.
+/// Jobs are created at both nodes, and one node is killed while it runs a job.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn jobs_outlive_their_node() {
     on_postgres(async |database| {
@@ -93,7 +93,7 @@ async fn jobs_outlive_their_node() {
             assert_eq!(ended(reading, id).await["state"], "SUCCEEDED");
             assert!(result(reading, id) == expected && result(other, id) == expected, "{id}");
         }
-        // One for each node.
+        // One job for each node.
         let long: Vec<String> =
             [&first, &second].map(|node| create(node, &hour, &json!({"mode": "rtk-fgo"}))).into();
         for id in &long {
@@ -108,7 +108,7 @@ async fn jobs_outlive_their_node() {
         first.serve();
         first.is_ready().await;
         assert!(result(&first, &long[0]) == expected);
-        // Each with its figures.
+        // Each result has its figures.
         let expected = 2 * (small.len() + long.len());
         assert_eq!(place.count("results"), expected, "of lost claims");
         // A cancellation at one node stops the run at the other.
@@ -132,7 +132,7 @@ async fn jobs_outlive_their_node() {
     .await;
 }
 
-/// An upload of which each node takes a part.
+/// Each node receives a part of one upload.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn an_upload_goes_on_at_another_node() {
     on_postgres(async |database| {
@@ -181,7 +181,7 @@ async fn an_upload_goes_on_at_another_node() {
     .await;
 }
 
-/// A job over a session of another node, at once.
+/// A job over a session of another node, created as soon as the epochs are acknowledged.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_job_takes_a_session_of_another_node() {
     on_postgres(async |database| {
@@ -206,7 +206,7 @@ async fn a_job_takes_a_session_of_another_node() {
             let row = |line: &str| line.splitn(columns + 1, ',').last().unwrap().to_owned();
             text.lines().skip(1).map(row).collect()
         };
-        // Those of a session have number and revision before.
+        // Rows of a session begin with number and revision.
         let stored = curl(&second, &format!("sessions/{session}/track.csv"), &[]).unwrap();
         let (stored, computed) = (rows(&stored, 2), rows(&result(&second, id), 0));
         assert_eq!((stored.len(), &stored), (40, &computed));
@@ -233,7 +233,8 @@ fn refused(database: &Database, configuration: &Path) -> String {
     code.unwrap_or_else(|| panic!("{text}")).to_owned()
 }
 
-/// Another folder, or a copy of the folder, is refused; and its node is gone at once.
+/// A node with another folder, or with a copy of the folder, is refused. It gives up its name at
+/// once, so that a node of the same name can start.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn all_nodes_have_one_folder() {
     on_postgres(async |database| {

@@ -1,5 +1,5 @@
-//! Keys, sign-ins and TLS in a cluster: a call that reaches the wrong node is what it would be at
-//! the right one.
+//! Keys, sign-ins and TLS in a cluster: a call that reaches the wrong node is answered as at the
+//! right one.
 
 #![cfg(target_os = "linux")]
 
@@ -30,10 +30,10 @@ use crate::support::wait::until;
 
 /// A change of a key is in force at every node within this time.
 const IN_FORCE: Duration = Duration::from_secs(1);
-/// Between requests with a key that may not be known yet.
+/// Time between requests with a key that may not be known yet.
 const SELDOM: Duration = Duration::from_millis(150);
 
-/// What a browser or a device sends beside its request.
+/// The headers of a browser or a device.
 #[derive(Clone, Default)]
 struct Headers(Vec<(String, String)>);
 
@@ -55,14 +55,14 @@ impl Headers {
     }
 }
 
-/// Two nodes with keys, and the secret of one with all rights.
+/// Two nodes that need keys, and the secret of a key with all rights.
 async fn with_keys(database: &Database) -> ([Node; 2], String) {
     let rights = ["--right", "device,read,operate,admin"];
     let key = key_of(&database.url, &rights);
     let nodes = two(&database.url, &Setting::default()).await;
     let push = v1::PushNavigationRequest { content: DRIVE.navigation_file().into() };
     let push = bearing(&key, Request::new(push));
-    // Sent to the one that does not lead.
+    // The push goes to the node that does not lead.
     let answer = NavigationClient::new(nodes[1].channel()).push(push).await.unwrap();
     assert_eq!(node_of(&answer), "first");
     (nodes, key)
@@ -75,14 +75,14 @@ async fn session_at(node: &Node, key: &str) -> String {
     let answer = SessionsClient::new(node.channel()).create(new).await.unwrap();
     assert_eq!(node_of(&answer), node.name);
     let session = answer.into_inner().session;
-    // Its first push makes it the node's.
+    // The node claims the session at its first push.
     let push = bearing(key, of_session(&session, push_of(&session, 1)));
     let answer = PositioningClient::new(node.channel()).push_epochs(push).await.unwrap();
     assert_eq!(node_of(&answer), node.name);
     session
 }
 
-/// A new key of the calls, at a node, with its id.
+/// Creates a key by a call at a node. Returns its id and its secret.
 fn new_key(node: &Node, by: &str, rights: &Value) -> (String, String) {
     let answer = Headers::key(by).ask(node, "POST", "/v1/keys", &json!({ "rights": rights }));
     assert_eq!(answer.status, 201, "{answer:?}");
@@ -90,7 +90,8 @@ fn new_key(node: &Node, by: &str, rights: &Value) -> (String, String) {
     (text(&answer.json()["key"]["key"]), text(&answer.json()["secret"]))
 }
 
-/// Time until a node knows a key that another has just made. It asks seldom: wrong keys are counted.
+/// Time until a node knows a key that another node has just made. Requests are seldom, because the
+/// service counts wrong keys.
 async fn known_after(node: &Node, key: &str) -> Duration {
     let made = Instant::now();
     let ask = async || {
@@ -125,7 +126,7 @@ async fn a_key_is_worth_the_same_at_every_node() {
         let ([first, second], admin) = with_keys(&database).await;
         let session = session_at(&second, &admin).await;
         let epochs = format!("/v1/sessions/{session}/epochs");
-        // At once: the node of the session cannot have read the key yet.
+        // The key is used at once, before the node of the session can have read it.
         for seq in 2..=6 {
             let (_, key) = new_key(&first, &admin, &json!(["device"]));
             let body = body_of(&session, seq);
@@ -133,7 +134,7 @@ async fn a_key_is_worth_the_same_at_every_node() {
             assert_eq!((answer.status, answer.header("x-graphfix-node")), (200, "second"));
             assert_eq!(answer.json()["results"][0]["seq"], seq, "{answer:?}");
         }
-        // Used at another node than where it was made.
+        // A key is used at another node than the one that made it.
         let (_, key) = new_key(&second, &admin, &json!(["read"]));
         let known = known_after(&first, &key).await;
         // Rights, wrong keys and missing ones are refused by the first node.
@@ -144,7 +145,7 @@ async fn a_key_is_worth_the_same_at_every_node() {
         assert_eq!((answer.status, code(&answer.json())), (401, "KEY_INVALID"));
         let answer = Headers::default().ask(&first, "POST", &epochs, &body_of(&session, 7));
         assert_eq!((answer.status, code(&answer.json())), (401, "KEY_REQUIRED"));
-        // Nobody is a node who does not have its secret.
+        // A request that claims to be forwarded by a node needs the secret of this node.
         let forged = Headers::default().with("x-graphfix-from", "1.0").with("x-graphfix-key", "");
         let answer = forged.ask(&second, "POST", &epochs, &body_of(&session, 7));
         assert_eq!((answer.status, code(&answer.json())), (401, "KEY_REQUIRED"));
@@ -156,8 +157,8 @@ async fn a_key_is_worth_the_same_at_every_node() {
     .await;
 }
 
-/// A stream and a watch through the wrong node, and the end of their key, which is revoked at either
-/// node.
+/// A stream and a watch go through the wrong node, and their key is revoked there. Both nodes
+/// refuse the key, and stream and watch end.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_revoked_key_is_refused_by_every_node() {
     on_postgres(async |database| {
@@ -231,12 +232,12 @@ async fn a_browser_is_signed_in_at_every_node() {
         let cookie = Headers::default().with("Cookie", &cookie_of(&begun));
         let token = begun.json()["csrfToken"].as_str().unwrap().to_owned();
         let signed = cookie.with("x-graphfix-csrf", &token);
-        // At once, at the node that has not signed it in.
+        // The cookie works at once at the other node.
         let known = cookie.ask(&second, "GET", "/v1/sessions", &Value::Null);
         assert_eq!((known.status, known.header("x-graphfix-node")), (200, "second"));
         let state = cookie.ask(&second, "GET", "/v1/sign-in", &Value::Null);
         assert_eq!(state.json()["csrfToken"].as_str(), Some(&*token), "{state:?}");
-        // Through each node to the other: a change of the session, and of a base.
+        // Changes go through each node to the other: of a session, and of a base.
         let label = |label: &str| json!({ "label": label });
         let refused = cookie.ask(&first, "PATCH", &path, &label("a"));
         assert_eq!((refused.status, code(&refused.json())), (403, "CSRF_TOKEN_INVALID"));
@@ -256,7 +257,7 @@ async fn a_browser_is_signed_in_at_every_node() {
         let refused = made_up.ask(&second, "GET", "/v1/sessions", &Value::Null);
         assert_eq!((refused.status, code(&refused.json())), (401, "SIGN_IN_ENDED"));
 
-        // It outlives its node; what ends at one node ends at the other.
+        // The sign-in outlives its node. When it ends at one node, it ends at the other.
         first.kill();
         first.serve();
         first.is_ready().await;
@@ -275,7 +276,7 @@ async fn a_browser_is_signed_in_at_every_node() {
     .await;
 }
 
-/// Nodes that reach each other with TLS, and one that trusts another authority.
+/// Nodes that reach each other with TLS, and a node that trusts another authority.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn nodes_check_each_others_certificates() {
     on_postgres(async |database| {

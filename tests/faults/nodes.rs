@@ -30,10 +30,10 @@ use crate::support::server::{get_with, replayed};
 use crate::support::streams::Random;
 use crate::support::wait::until;
 
-/// A session that has moved is acknowledged again within this time.
+/// A session that moves to another node is acknowledged again within this time.
 const MOVED: Duration = Duration::from_secs(15);
-/// 99 of 100 acknowledgements come within this time while nothing happens, on a machine that does
-/// nothing else: `scripts/nodes` checks it.
+/// 99 % of the acknowledgements come within this time outside faults, on a machine that does
+/// nothing else. `scripts/nodes` checks this.
 const QUIET: Duration = Duration::from_secs(1);
 /// The same beside other tests.
 const BUSY: Duration = Duration::from_secs(5);
@@ -51,7 +51,7 @@ async fn navigate(channel: &Channel) {
 async fn a_call_reaches_the_node_of_its_session() {
     on_postgres(async |database| {
         let [first, second] = two(&database).await;
-        // The follower sends it on to the leader, and learns of it by a notice.
+        // The follower forwards the push to the leader, which tells the follower of the new data.
         navigate(&second.channel()).await;
         let status = NavigationClient::new(second.channel());
         let status = status.clone().status(v1::NavigationStatusRequest {}).await.unwrap();
@@ -78,11 +78,11 @@ async fn a_call_reaches_the_node_of_its_session() {
             durable = durable.max(message.durable_through);
         }
         assert_eq!(durable, Some(5));
-        // By REST the path names the session.
+        // A REST request names the session in its path.
         let path = format!("/v1/sessions/{session}/solutions");
         let (status, body) = get_with(first.port, &path, "").unwrap();
         assert_eq!((status, body.matches("\"seq\"").count()), (200, 5), "{body}");
-        // Without the header nothing names the session before the message is read.
+        // Without the header a gRPC request names no session until its message is read.
         let push = push_of(&session, 6);
         let refused = PositioningClient::new(first.channel()).push_epochs(push).await.unwrap_err();
         assert_eq!(refused.code(), tonic::Code::Unavailable);
@@ -110,7 +110,7 @@ async fn bases_are_the_leaders_and_all_nodes_know_them() {
         let answer = BasesClient::new(second.channel()).create(create).await.unwrap();
         assert_eq!(node_of(&answer), "first");
         let base = answer.into_inner().base;
-        // At once, at the follower.
+        // The follower knows the base at once.
         let request = v1::CreateSessionRequest {
             mode: "rtk-ekf".to_owned(),
             base: base.clone(),
@@ -146,8 +146,8 @@ async fn a_cluster_and_a_single_service_exclude_each_other() {
     .await;
 }
 
-/// A node that is frozen while it has a push: when it runs again, its lease has ended and the other
-/// node has the session. It acknowledges nothing any more, and stops.
+/// A node is frozen while it has a push. When it runs again, its lease has ended and the other node
+/// has the session. So it acknowledges nothing any more, and stops.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn a_frozen_node_acknowledges_nothing_after_its_lease() {
     on_postgres(async |database| {
@@ -166,7 +166,7 @@ async fn a_frozen_node_acknowledges_nothing_after_its_lease() {
         late.metadata_mut().insert("x-graphfix-session", session.parse().unwrap());
         let mut client = PositioningClient::new(direct);
         let late = tokio::spawn(async move { client.push_epochs(late).await });
-        // A node that answers no ping is taken for gone before its lease ends.
+        // A node that answers no ping counts as unreachable before its lease ends.
         let mut early = tonic::Request::new(push_of(&session, 4));
         early.metadata_mut().insert("x-graphfix-session", session.parse().unwrap());
         let refused =
@@ -182,7 +182,7 @@ async fn a_frozen_node_acknowledges_nothing_after_its_lease() {
         until("ended", async || first.has_ended(), |ended| *ended).await;
         let (numbers, _) = stored(&second.channel(), &session).await;
         assert_eq!(numbers, [1, 2, 4]);
-        // The other one leads now.
+        // The second node leads now, so it accepts navigation data.
         navigate(&second.channel()).await;
         first.serve();
         first.is_ready().await;
@@ -202,7 +202,7 @@ async fn stored(channel: &Channel, session: &str) -> (Vec<u64>, BTreeMap<u64, v1
     (numbers, answer.solutions.into_iter().map(|solution| (solution.seq, solution)).collect())
 }
 
-/// Names the seed of a campaign.
+/// The variable with the seed of a campaign.
 const SEED: &str = "GRAPHFIX_NODES_SEED";
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -215,11 +215,11 @@ enum Fault {
 /// How long acknowledgements took in rounds.
 #[derive(Default)]
 struct Times {
-    /// While nothing happened.
+    /// Outside faults.
     calm: Vec<Duration>,
-    /// During faults, of sessions that were at another node.
+    /// During a fault, of sessions at nodes without the fault.
     others: Vec<Duration>,
-    /// During faults, the longest of each session that was at the node.
+    /// During a fault, the longest of each session that was at the node with the fault.
     moved: Vec<Duration>,
 }
 
@@ -244,7 +244,7 @@ impl Times {
     }
 }
 
-/// 99 of 100 are no longer.
+/// The 99th percentile.
 fn p99(times: &[Duration]) -> Duration {
     let mut times = times.to_owned();
     times.sort();
@@ -261,8 +261,8 @@ impl fmt::Display for Times {
     }
 }
 
-/// One round: devices send through a balancer, a node has a fault and comes again, and everything
-/// that was acknowledged is stored once, with the answers that a replay gives.
+/// One round. Devices send through a balancer, while one node has a fault and recovers. Everything
+/// that was acknowledged is stored once, and a replay gives the same answers.
 async fn round(
     database: &Database,
     nodes: &mut [Node],
@@ -317,7 +317,7 @@ async fn check(database: &Database, node: &Node, answered: &Answered) {
     let last = answered.solutions.keys().next_back().copied().unwrap_or(0);
     assert!(5 < last, "the device of {session} got {last} answers");
     let (numbers, stored) = stored(&node.channel(), session).await;
-    // One epoch may be stored without an answer.
+    // The last epoch may be stored without an answer.
     let through = numbers.len() as u64;
     assert!(last <= through && through <= last + 1, "{last} acknowledged, {through} stored");
     assert_eq!(numbers, (1..=through).collect::<Vec<_>>(), "missing or doubled");
@@ -329,9 +329,9 @@ async fn check(database: &Database, node: &Node, answered: &Answered) {
     assert!(is_equal, "{session}: {text}{error}");
 }
 
-/// Each fault once, at the leader and at the follower in turns; `GRAPHFIX_NODES_ROUNDS` asks for
-/// more of them, at random by `GRAPHFIX_NODES_SEED`, then frozen for 30 s, and `GRAPHFIX_NODES` for
-/// more nodes.
+/// Each fault once, at the leader and at the follower in turns. `GRAPHFIX_NODES_ROUNDS` sets the
+/// number of rounds and `GRAPHFIX_NODES` the number of nodes. With `GRAPHFIX_NODES_SEED` faults and
+/// nodes are random, and a frozen node stays frozen for 30 s.
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn nothing_acknowledged_is_lost_behind_haproxy() {
     on_postgres(async |database| {

@@ -1,8 +1,8 @@
-//! Disturbances that an estimator with memory must survive: each disturbance with each kind of
+//! Disturbances that an estimator with memory must survive. Most are tested with each kind of
 //! answer.
 //!
-//! A simulated rover under open sky, so that the truth is exact and every error is caused by the
-//! disturbance.
+//! The rover is simulated under open sky. So the truth is exact, and errors beyond those of
+//! `nothing_happens` are caused by the disturbance.
 
 use graphfix::config::{Mode, PositioningOptions, Profile};
 use graphfix::gnss::constants::SPEED_OF_LIGHT;
@@ -31,7 +31,7 @@ struct Drive {
 }
 
 impl Drive {
-    /// Three constellations whose wavelengths need no channel.
+    /// Simulates three constellations whose wavelengths do not depend on a GLONASS channel.
     fn new(duration_s: f64) -> Self {
         let constellations =
             vec![Constellation::Gps, Constellation::Galileo, Constellation::BeiDou];
@@ -100,7 +100,7 @@ impl Drive {
     }
 }
 
-/// Reference for the limits below.
+/// Without a disturbance errors are below 3 m: the reference for the limits of the other tests.
 #[test]
 fn nothing_happens() {
     Drive::new(120.0).assert_all(3.0, "nothing");
@@ -110,8 +110,8 @@ fn nothing_happens() {
 fn satellites_appear_and_vanish() {
     let mut drive = Drive::new(150.0);
     for (second, epoch) in drive.epochs.iter_mut().enumerate() {
-        // Every seven seconds the other half of the sky; for one second no satellite of the
-        // previous epoch.
+        // Satellites with odd and with even numbers take turns of seven seconds. At each change no
+        // satellite of the previous epoch remains.
         let half = (second / 7 % 2) as u8;
         epoch.observations.retain(|o| o.satellite.number % 2 == half);
     }
@@ -121,14 +121,14 @@ fn satellites_appear_and_vanish() {
 #[test]
 fn minutes_without_epochs() {
     let mut drive = Drive::new(500.0);
-    // Shorter and longer than the gap that restarts.
+    // One gap is shorter and one is longer than the gap that restarts an estimator.
     drive.epochs.drain(320..480);
     drive.epochs.drain(60..150);
     drive.assert_all(6.0, "gaps");
 }
 
-/// In half a minute without epochs the car turns, so the solve begins up to a hundred metres off.
-/// The first position afterwards is as good as the next one.
+/// The car turns while there are no epochs for half a minute. So the next solve begins up to a
+/// hundred metres off. The first position afterwards is as good as the next one.
 #[test]
 fn half_a_minute_without_epochs() {
     let mut drive = Drive::new(260.0);
@@ -142,7 +142,8 @@ fn half_a_minute_without_epochs() {
     }
 }
 
-/// The clock steps by a millisecond in tag and pseudoranges, and with or without the phases.
+/// The clock steps by a millisecond in the time tag and the pseudoranges, with and without a step
+/// of the phases.
 #[test]
 fn the_clock_steps_by_a_millisecond() {
     for (with_phase, steps_ms) in [(false, 1.0), (true, 1.0), (true, -1.0)] {
@@ -190,7 +191,7 @@ fn one_constellation_alone() {
         }
         drive.assert_all(6.0, &format!("{constellation:?} alone"));
     }
-    // The satellites change from one set to another without a common epoch.
+    // The satellites change from one constellation to another, without an epoch that has both.
     let mut drive = Drive::new(120.0);
     for (second, epoch) in drive.epochs.iter_mut().enumerate() {
         let turn = match second / 40 {
@@ -203,7 +204,7 @@ fn one_constellation_alone() {
     drive.assert_all(8.0, "one constellation after the other");
 }
 
-/// A satellite twice in an epoch changes no bit.
+/// Observations that an epoch contains twice change no bit.
 #[test]
 fn satellites_sent_twice() {
     let plain = Drive::new(60.0);
@@ -216,7 +217,8 @@ fn satellites_sent_twice() {
     }
 }
 
-/// Epochs sent twice or late are answered alone, and the others as without them.
+/// Epochs that are sent twice or late are answered by single-point positioning. The others are
+/// answered as without them.
 #[test]
 fn epochs_sent_twice_or_late() {
     let plain = Drive::new(90.0);

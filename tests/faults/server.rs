@@ -32,7 +32,8 @@ impl Service {
         Self { proxy, store, sessions, id }
     }
 
-    /// Refused with the code of a failed database; returns how long that took.
+    /// Checks that an epoch is refused with the code of a failed database. Returns the delay of the
+    /// refusal.
     async fn refused(&self, seq: u64) -> Duration {
         let began = Instant::now();
         let refused = self.sessions.submit(&self.id, vec![epoch(seq, seq as f64)]).await;
@@ -98,8 +99,8 @@ async fn a_server_that_restarts_is_waited_for() {
     .await;
 }
 
-/// The commit is not confirmed. The store says which of the two states holds, and the session
-/// continues from it without a restore.
+/// The commit is not confirmed. The store shows which of the two states is valid, and the session
+/// continues from this state without a restore.
 #[tokio::test]
 async fn a_commit_that_is_cut_off_is_resolved() {
     on_postgres(async |database| {

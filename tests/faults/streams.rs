@@ -21,7 +21,7 @@ use crate::support::wait::{interrupted, until};
 on_both_databases!(a_stream_goes_on_after_kill_9);
 
 const EPOCHS: u64 = 600;
-/// After the first answer of a stream (ms).
+/// Delays of the kills after the first answer of a stream (ms).
 const KILLS_MS: [u64; 4] = [4, 15, 30, 60];
 
 fn message(seq: u64) -> v1::Epoch {
@@ -33,8 +33,8 @@ fn opening(session: &str, last_acknowledged: Option<u64>) -> v1::StreamOpening {
     v1::StreamOpening { session: session.to_owned(), last_acknowledged, answers }
 }
 
-/// Streams one epoch a message, with as many on their way as the credit allows, until the service
-/// is killed or all is acknowledged. Records the answers.
+/// Streams one epoch a message, until the service is killed or all epochs are acknowledged. As many
+/// epochs are unanswered as the credit allows. Records the answers.
 async fn stream_on(
     channel: &Channel,
     session: &str,
@@ -91,8 +91,8 @@ async fn listed(channel: &Channel, session: &str) -> Vec<v1::Solution> {
     SolutionsClient::new(channel.clone()).list(list).await.unwrap().into_inner().solutions
 }
 
-/// Epochs behind a commit that failed are not stored without those of the commit, though they were
-/// sent before its answer: the device would not send these again.
+/// A commit fails, and the device has already sent later epochs. These are not stored without the
+/// epochs of the failed commit: the store would have a gap, and the device would not fill it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_epoch_is_stored_behind_a_commit_that_failed() {
     on_postgres(async |database| {

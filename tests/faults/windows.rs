@@ -1,4 +1,4 @@
-//! Peers of HTTP/2 that read their connection and never open the window of an answer.
+//! Peers of HTTP/2 that read their connection but never open the flow-control window of an answer.
 
 use std::time::{Duration, Instant};
 
@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 use crate::support::doors::Doors;
 use crate::support::wait::until;
 
-/// Requests of the peer, each of which reserves memory for its answer.
+/// Number of requests of the peer. Each reserves memory for its answer.
 const REQUESTS: usize = 50;
 
 async fn connected(port: u16, window: u32) -> h2::client::SendRequest<Bytes> {
@@ -28,8 +28,8 @@ fn get(port: u16, path: &str) -> Request<()> {
     Request::get(format!("http://localhost:{port}{path}")).body(()).unwrap()
 }
 
-/// Their memory is free again after the time that a reader has, and others are served meanwhile,
-/// also a watch without anything to send.
+/// The memory of such answers is free again after the time that a reader has. Other clients are
+/// served meanwhile, also a watch that has nothing to send.
 #[tokio::test]
 async fn a_window_that_stays_closed_keeps_no_memory() {
     let doors = Doors::with(Limits { body_silence_s: 1, ..Limits::standard() }).await;
@@ -67,7 +67,7 @@ async fn a_window_that_stays_closed_keeps_no_memory() {
         assert!(end.is_none_or(|data| data.is_err()), "its connection has ended");
     }
 
-    // The watch has had nothing to send for as long, and its connection serves.
+    // The watch had nothing to send during the same time, and its connection still works.
     let (listed, _) = reader.send_request(get(port, "/v1/sessions"), true).unwrap();
     assert_eq!(listed.await.unwrap().status(), 200);
     assert!(!watch.body().is_end_stream());

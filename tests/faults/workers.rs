@@ -1,5 +1,5 @@
-//! Workers: jobs that processes beside the service run, through `kill -9`, frozen processes and
-//! too little memory. None is lost, none has two results.
+//! Workers are processes beside the service that run jobs. `kill -9`, frozen processes and too
+//! little memory lose no job, and no job has two results.
 
 use std::path::PathBuf;
 use std::process::{Child, Command, Output, Stdio};
@@ -66,7 +66,7 @@ impl World {
         self.folder.path().join("graphfix.toml")
     }
 
-    /// The service, once it answers.
+    /// Starts the service, and waits until it answers.
     async fn served(&self) -> Server {
         let server = Server::start_with(&self.database.url, self.port, |command| {
             command.arg("--config").arg(self.configuration());
@@ -145,7 +145,7 @@ async fn kill_9_of_service_and_workers_loses_no_job() {
         let mut workers = vec![world.worker(&[]), world.worker(&["--running", "2"])];
         for kill in 0..3 {
             until("some are done", async || done(), |done| 2 * kill < *done).await;
-            workers[kill % 2] = world.worker(&[]); // The one before is killed.
+            workers[kill % 2] = world.worker(&[]); // Drops, and so kills, the previous one.
             server.kill();
             server = world.served().await;
         }
@@ -161,8 +161,8 @@ async fn kill_9_of_service_and_workers_loses_no_job() {
     .await;
 }
 
-/// A job whose worker is killed goes on after its last checkpoint, also if the service is killed,
-/// too.
+/// A job whose worker is killed continues after its last checkpoint, even if the service is killed
+/// at the same time.
 #[tokio::test]
 async fn a_killed_run_goes_on_after_its_checkpoint() {
     on_postgres(async |database| {
@@ -190,7 +190,7 @@ async fn a_killed_run_goes_on_after_its_checkpoint() {
     .await;
 }
 
-/// A worker that is frozen loses its job to another, and publishes nothing when it goes on.
+/// A frozen worker loses its job to another, and publishes no result when it runs again.
 #[tokio::test]
 async fn a_frozen_worker_loses_its_job() {
     on_postgres(async |database| {
@@ -208,7 +208,7 @@ async fn a_frozen_worker_loses_its_job() {
         let (first, report) = (result(), world.get(0, &format!("/{job}/report")));
         assert_eq!(first, HOUR.solved(&["--mode", "rtk-fgo"], "pos"));
         frozen.signal("CONT");
-        // It has noticed once it takes another job.
+        // Once the worker takes another job, it has noticed that it lost the first.
         drop(other);
         let next = world.create(0, &files, "{\"mode\": \"spp\"}");
         assert_eq!(world.until_ended(&next).await["state"], "SUCCEEDED");
@@ -245,7 +245,7 @@ async fn a_worker_is_told_to_stop() {
     .await;
 }
 
-/// The memory of a worker is limited. What has ended several workers fails.
+/// The memory of a worker is limited. A job that has ended several workers fails.
 #[tokio::test]
 async fn a_job_that_ends_its_workers_fails() {
     on_postgres(async |database| {
@@ -260,7 +260,7 @@ async fn a_job_that_ends_its_workers_fails() {
             let data = limits.lines().find(|line| line.starts_with("Max data size")).unwrap();
             assert_eq!(data.matches(&(100 << 20).to_string()).count(), 2, "{data}");
         }
-        drop(small); // Killed, as by an allocation that fails.
+        drop(small); // Kills the worker, as a failed allocation would.
         world.database.execute("UPDATE jobs SET lost_claims = 4").await;
         let worker = world.worker(&[]);
         let failed = world.until_ended(&job).await;
