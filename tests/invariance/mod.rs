@@ -1,4 +1,4 @@
-//! Changes that must not affect an answer: restarts, snapshots, the order of the input.
+//! Restarts and snapshots of estimators and sessions, which must not affect an answer.
 
 mod restoring;
 mod windows;

@@ -1,4 +1,4 @@
-//! Estimators stored and restored give the same bits, in every mode and at every epoch.
+//! Estimators that are stored and restored give the same bits, in every mode and at every epoch.
 
 use std::sync::LazyLock;
 
@@ -11,8 +11,8 @@ use proptest::prelude::*;
 use crate::support::data;
 use crate::support::recording::Recording;
 
-/// A drive through a canyon with everything that restarts a window: gaps beyond and within the
-/// limit, epochs with few satellites and without any.
+/// A drive through a canyon with what restarts a window, and with what just does not: gaps above
+/// and below the limit, epochs with few satellites and without any.
 fn eventful_drive(epochs: usize) -> Option<Recording> {
     let folder = data::set("tst-2019")?;
     let files = ["hksc1180.19n", "hksc1180.19b"];
@@ -28,13 +28,14 @@ fn eventful_drive(epochs: usize) -> Option<Recording> {
     Some(recording)
 }
 
-/// The answer and the revisions due, with every bit printed.
+/// The answer and the revisions of an epoch as text, which shows every bit.
 fn answers(estimator: &mut Estimator, epoch: &Epoch, navigation: &Navigation) -> String {
     let now: Solution = estimator.advance(epoch, &Aiding::alone(navigation));
     format!("{now:?} {:?}", estimator.take_revisions())
 }
 
-/// Restored after each epoch or never: the same answers, revisions and last revisions.
+/// An estimator that is restored after each epoch and one that never is give the same answers and
+/// the same revisions, also at the end.
 #[test]
 fn an_estimator_restored_after_every_epoch_answers_alike() {
     let Some(recording) = eventful_drive(120) else { return };
@@ -75,7 +76,8 @@ fn a_snapshot_of_other_options_is_refused() {
     }
 }
 
-/// Changed bytes with a right hash, as only a fault of the program could write them.
+/// A snapshot with changed bytes and the hash of these bytes. Only a fault of the program could
+/// write such a snapshot.
 fn resealed(mut bytes: Vec<u8>, changes: &[(prop::sample::Index, u8)]) -> Vec<u8> {
     bytes.truncate(bytes.len() - 8);
     for (place, byte) in changes {
@@ -87,7 +89,7 @@ fn resealed(mut bytes: Vec<u8>, changes: &[(prop::sample::Index, u8)]) -> Vec<u8
     bytes
 }
 
-/// The estimator of each mode after some epochs; none without the data.
+/// A snapshot of each mode's estimator after some epochs. Empty without the data.
 static SNAPSHOTS: LazyLock<Vec<(Mode, Vec<u8>)>> = LazyLock::new(|| {
     let Some(recording) = eventful_drive(34) else { return Vec::new() };
     let of_mode = |mode: &Mode| {

@@ -75,8 +75,9 @@ async fn submit(sessions: &Sessions, id: &SessionId, epochs: &[SequencedEpoch]) 
     assert!(answer.outcomes.iter().all(|outcome| outcome.result.is_ok()));
 }
 
-/// One session in large batches, one parked after each small batch, one whose service is killed
-/// after each: the same solutions and revisions. Navigation data arrives in the middle.
+/// Three sessions give the same solutions and revisions: one in large batches, one that is parked
+/// after each small batch, and one whose service is killed after each. New navigation data arrive
+/// in the middle.
 async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
     let store = database.store().await;
     let aiding = broker(&store).await;
@@ -125,8 +126,8 @@ async fn every_mode_gives_the_same_bits_after_restarts(database: Database) {
     }
 }
 
-/// An epoch is revised when a new one pushes it out of the window, or when the session is closed;
-/// once, also after a resend.
+/// An epoch is revised when it leaves the window, or when the session is closed. It is revised
+/// once, also if it is resent.
 async fn each_epoch_is_revised_once(database: Database) {
     let sessions = desk(&database).await;
     let store = database.store().await;
@@ -167,8 +168,8 @@ async fn each_epoch_is_revised_once(database: Database) {
     assert_eq!(checked(&database, &id).await.not_stored, 1);
 }
 
-/// The first epoch under another configuration begins a new window, and the epochs in the old one
-/// are revised. Restarts in between change nothing.
+/// The first epoch under another configuration begins a new window, and the epochs of the old
+/// window are revised. Restarts in between change nothing.
 async fn another_configuration_begins_anew(database: Database) {
     let store = database.store().await;
     broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
@@ -218,7 +219,8 @@ async fn a_window_is_solved_on_request(database: Database) {
     let own = sessions.solve(&window, &SolveRequest::default()).await.unwrap();
     let last = listed(&sessions, &window, Revisions::First).await.pop().unwrap();
     assert_eq!((own.seq, &own.solution), (60, &last.solution));
-    // A window of the same epochs under the other session: without earlier epochs, nearly the same.
+    // A window over the same epochs of the other session. It begins without a prior from earlier
+    // epochs, so the positions are only nearly the same.
     let mode = Some("fgo".to_owned());
     let profile = Some("urban-vehicle".to_owned());
     let request = SolveRequest { mode, profile, ..SolveRequest::default() };
@@ -241,12 +243,12 @@ async fn a_state_that_cannot_be_read_is_rebuilt(database: Database) {
     assert!(store.snapshot(sessions_key(&store, &id).await).await.unwrap().is_some());
     database.execute("UPDATE snapshots SET content = '\\x'").await;
     submit(&desk(&database).await, &id, &DRIVE.epochs[300..310]).await;
-    // The window contains all epochs, so that the bits are the same here.
+    // A rebuild replays a limited number of epochs. The session has fewer, so the bits are the
+    // same.
     assert!(checked(&database, &id).await.is_same());
 }
 
-/// A desk that stops stores the state of a session whose epochs take long to repeat, and one that
-/// is killed repeats them.
+/// A desk that stops stores the state of a session if a replay of its epochs would take long.
 async fn a_stop_stores_the_state(database: Database) {
     let store = database.store().await;
     broker(&store).await.navigation.push(DRIVE.navigation.clone(), "all").await.unwrap();
@@ -265,8 +267,8 @@ async fn sessions_key(store: &Store, id: &SessionId) -> graphfix::store::Session
     store.session_of_any(id.as_str()).await.unwrap().unwrap().key
 }
 
-/// Old navigation data is kept up to a limit; replay beyond it is refused, and a session whose
-/// state was stored later continues.
+/// Old navigation data are kept up to a limit. A replay that needs older ones is refused, but a
+/// session whose state was stored later continues.
 async fn forgotten_navigation_data_is_said(database: Database) {
     let store = database.store().await;
     let few = AidingLimits {
