@@ -1,5 +1,5 @@
-//! The audit log: every administrative act leaves an entry, together with what it changes, and so
-//! do calls that are refused.
+//! The audit log: every administrative act writes an entry in the transaction of its change, and so
+//! do refused calls.
 
 use std::process::Command;
 
@@ -36,7 +36,7 @@ on_both_databases!(
     commands_leave_entries,
 );
 
-/// A password at a caster, which nobody may read.
+/// A password at a caster, which must not appear in the log.
 const PASSWORD: &str = "word-of-the-caster";
 
 /// The entries that a key reads, with these parameters of the call.
@@ -61,7 +61,7 @@ async fn ok(doors: &Doors, key: &Key, method: &str, path: &str, body: Value) -> 
     answer
 }
 
-/// Does one act as this key; returns the id of its object.
+/// Does one act with this key. Returns the id of the object of the act.
 async fn done(doors: &Doors, key: &Key, act: &str) -> String {
     let text = |value: &Value| value.as_str().unwrap().to_owned();
     let new_session = async || {
@@ -158,7 +158,7 @@ async fn deleted_job(doors: &Doors, key: &Key, id: &str) -> Result<(), Status> {
     client.delete_operation(request).await.map(drop)
 }
 
-/// What the entry of each act says of the change.
+/// The description of the change in the entry of each act.
 fn expected_change(act: &str) -> &'static str {
     match act {
         "Keys.Create" => "rights read, label \"screen\", for 3600 s",
@@ -196,7 +196,7 @@ async fn each_act_leaves_an_entry(database: Database) {
         assert_eq!(newest["request"].as_str().unwrap().len(), 36);
         assert_eq!(newest["node"], json!(node(&doors).await));
     }
-    // What changes nothing leaves nothing: a key that is revoked stays so.
+    // A call that changes nothing writes no entry, like a second revocation of a key.
     let id = done(&doors, &operator, "Keys.Revoke").await;
     ok(&doors, &operator, "DELETE", &format!("/v1/keys/{id}"), Value::Null).await;
     assert_eq!(entries(&doors, &operator, &format!("&object={id}")).await.len(), 2);
@@ -216,14 +216,14 @@ async fn each_act_leaves_an_entry(database: Database) {
     restarted.close().await;
 }
 
-/// The node that answers, and that the entry of this request names.
+/// The name of the node that answers; entries must have the same name.
 async fn node(doors: &Doors) -> String {
     let request = Request::get("/healthz").body(Body::empty()).unwrap();
     let answer = doors.router.clone().oneshot(request).await.unwrap();
     answer.headers()["x-graphfix-node"].to_str().unwrap().to_owned()
 }
 
-/// While the log takes no entry, no act is done; afterwards each is, once.
+/// While the log accepts no entry, no act is done. Afterwards each act is done once.
 async fn an_act_without_an_entry_is_not_done(database: Database) {
     let doors = Doors::on(&database.url).await;
     let operator = operator(&doors).await;
@@ -337,7 +337,7 @@ async fn refused_calls_leave_entries(database: Database) {
             if key.id.is_empty() { ("default", "unknown") } else { ("acme", &*key.id) };
         expected.insert(0, [tenant, actor, call, object, refusal]);
     }
-    // What a device does to a session is not an administrative act, nor is an attempt at it.
+    // Calls of a device on a session are no administrative acts, also when they are refused.
     for key in [&device, &reader, &wrong] {
         asked(&doors, key, "POST", &reset, json!({})).await;
     }
@@ -349,7 +349,7 @@ async fn refused_calls_leave_entries(database: Database) {
     assert_eq!(shorts(&log[..log.len() - before]), expected);
     assert!(!Value::from(log).to_string().contains("gfx_"));
 
-    // Whoever is refused again and again does not fill the log.
+    // Repeated refusals do not fill the log.
     for _ in 0..40 {
         asked(&doors, &wrong, "POST", "/v1/keys", new.clone()).await;
     }
@@ -387,7 +387,7 @@ async fn a_tenant_reads_its_own_entries(database: Database) {
     let (status, answer) = asked(&doors, &acme, "GET", "/v1/audit?tenant=other", Value::Null).await;
     assert_eq!((status, code(&answer)), (StatusCode::FORBIDDEN, "OPERATOR_ONLY"));
 
-    // The operator sees all, or those of one tenant; its own key is not hidden from itself.
+    // The operator sees the entries of all tenants or of one. It also sees the id of its own key.
     let all = entries(&doors, &operator, "").await;
     assert_eq!(all.len(), 9, "{all:?}");
     let of_acme = entries(&doors, &operator, "&tenant=acme").await;
@@ -454,7 +454,7 @@ async fn the_log_comes_in_pages(database: Database) {
     doors.close().await;
 }
 
-/// Runs SQL directly on the database, and returns what it refuses.
+/// Runs SQL directly on the database, and returns the error with which it is refused.
 async fn refused_by(database: &Database, sql: &str) -> String {
     let refused = if database.url.starts_with("sqlite") {
         let mut connection = SqliteConnection::connect(&database.url).await.unwrap();
@@ -476,12 +476,12 @@ async fn entries_are_removed_by_age_and_never_changed(database: Database) {
         let act = "'default', 'loopback', 'default', 'Keys.Create', '', 'DONE', '', 'n', ''";
         format!("('aud_{number}', {unix_ms}, {act})")
     };
-    // A hundred a day, for twelve days.
+    // A hundred entries a day, for twelve days.
     let rows: Vec<String> = (0..1200).map(row).collect();
     let insert = "INSERT INTO audit_entries (id, unix_ms, tenant, actor, actor_tenant, call, \
                   object, outcome, request, node, change) VALUES";
     database.execute(&format!("{insert} {}", rows.join(", "))).await;
-    // Whole days are kept, and half of the present one.
+    // Whole days are kept, and the half of the present day that has passed.
     for (audit_days, kept) in [(0, 1200), (3, 351), (2, 251)] {
         let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
         let limits = SessionLimits { audit_days, ..SessionLimits::service() };
@@ -498,7 +498,7 @@ async fn entries_are_removed_by_age_and_never_changed(database: Database) {
     store.close().await;
 }
 
-/// Commands leave entries, too, and show the log.
+/// Commands write entries, too, and print the log.
 async fn commands_leave_entries(database: Database) {
     let run = |arguments: &[&str]| {
         let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));

@@ -32,7 +32,7 @@ struct Archive {
     host: HostileCaster,
     asked: Arc<Mutex<Vec<String>>>,
     files: Arc<Mutex<BTreeMap<String, Vec<u8>>>>,
-    /// Whether it answers, or lets clients wait.
+    /// Whether the archive answers, or lets clients wait.
     opening: watch::Sender<bool>,
 }
 
@@ -224,7 +224,7 @@ async fn a_late_file_is_waited_for() {
     assert!(archive.asked().len() < 30, "{:?}", archive.asked());
 }
 
-/// A file that is not of the base is reported and has no other effect.
+/// A file of another station is reported and has no other effect.
 #[tokio::test]
 async fn files_that_are_none_are_told() {
     let tomorrow = simulated(PAIR.base[0].time + 86_400.0);
@@ -309,7 +309,8 @@ async fn older_data_needs_another_base() {
     assert_eq!(archive.asked(), ["/26001g", "/26001f"]);
 }
 
-/// Newer files wait for a file that fails for a while, because they would exclude it.
+/// While a file cannot be fetched, newer files wait for some time: after newer epochs, older ones
+/// cannot be added.
 #[tokio::test]
 async fn a_file_that_fails_is_not_overtaken() {
     let pair = around_six();

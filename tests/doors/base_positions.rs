@@ -1,4 +1,5 @@
-//! The base position of `solve`: as given, otherwise from the file, otherwise by single points.
+//! The base position of `solve`: the given one, otherwise that of the file, otherwise the mean of
+//! single-point positions.
 
 use std::fs;
 use std::path::Path;
@@ -61,7 +62,8 @@ fn a_base_of_rinex_stands_where_it_can_be_known() {
         let (mean, source) = marker(&summary);
         assert_eq!(source, "from its own single-point positions");
         let off_m = mean.distance_m(truth);
-        // Metres of orbits, clocks and atmosphere; not the millimetres of the header's digits.
+        // The error is metres, from orbits, clocks and atmosphere: the position is not the
+        // header's.
         assert!((0.01..10.0).contains(&off_m), "{off_m}");
         let warning = "warning: base: no source gives its position; the mean of 31 single-point";
         assert!(summary.contains(warning), "{summary}");

@@ -162,7 +162,8 @@ async fn a_base_in_step_gives_the_same_bits_after_restarts(database: Database) {
     }
 }
 
-/// The answers are those of a window without a base, each with its reason and remedy.
+/// Without a usable base the answers are those of a window without a base, each with its reason and
+/// remedy.
 async fn without_its_base_a_session_says_why(database: Database) {
     let desk = desk(&database).await;
     desk.navigate().await;

@@ -59,7 +59,7 @@ async fn python_and_curl_read_the_same_solution() {
     asks.arg(client).arg(&stubs).arg(&address).arg(&gps).arg(&file);
     let by_grpc: Value = serde_json::from_str(&run(&mut asks)).unwrap();
 
-    // Through the other door, with a session of its own.
+    // The same through the other door, with another session.
     let session = by_grpc["session"].as_str().unwrap();
     let list = |session: &str| {
         curl(&[&format!("http://{address}/v1/sessions/{session}/solutions")])["solutions"].take()
@@ -101,7 +101,7 @@ fn as_python_prints(solution: &Value) -> Value {
 /// them `kill -9` in the middle of streams.
 #[test]
 fn the_python_client_passes_its_tests() {
-    // Without it nothing has prepared a Python, nor the packages that the client needs.
+    // If the variable is not set, no Python with the packages of the client has been prepared.
     let Some(python) = python::with("grpc_tools") else { return };
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("scripts/client");
     let mut tests = Command::new(script);
@@ -110,6 +110,6 @@ fn the_python_client_passes_its_tests() {
     let [printed, errors] =
         [&output.stdout, &output.stderr].map(|text| String::from_utf8_lossy(text));
     assert!(output.status.success(), "{printed}{errors}");
-    // pytest says how many; none would be a mistake of the script.
+    // pytest prints the number of tests that passed. No such line is a mistake of the script.
     assert!(printed.contains(" passed"), "{printed}");
 }

@@ -1,5 +1,5 @@
-//! Web pages of other hosts (CORS): none may call, unless the operator lists their origin for the
-//! tenant whose key they bring.
+//! Web pages of other hosts (CORS). A page may call only if the operator lists its origin for the
+//! tenant of its key.
 
 use std::collections::BTreeMap;
 
@@ -83,7 +83,7 @@ async fn a_listed_page_may_call_with_a_key_of_its_tenant() {
     assert_eq!(field(&headers, "access-control-allow-credentials"), "");
     assert!(headers.get_all("vary").iter().any(|value| value == "origin"));
 
-    // A page reads why it is refused, and gets nothing of another tenant.
+    // A page can read the reason of a refusal, and gets no data of another tenant.
     for key in [&other, &operator] {
         let (status, headers, problem) = listed(&doors, PAGE, key).await;
         assert_eq!((status, code(&problem)), (StatusCode::FORBIDDEN, "ORIGIN_REFUSED"));
@@ -99,7 +99,7 @@ async fn a_listed_page_may_call_with_a_key_of_its_tenant() {
         assert_eq!((status, code(&problem)), (StatusCode::FORBIDDEN, "ORIGIN_REFUSED"), "{origin}");
         assert_eq!(field(&headers, ALLOWED), "", "{origin}");
     }
-    // Who is no page is not asked for an origin.
+    // Clients that are not web pages need no origin.
     assert_eq!(
         super::tenants::world::asked(&doors, &other, "GET", "/v1/sessions", Value::Null).await.0,
         StatusCode::OK
@@ -111,7 +111,8 @@ async fn a_listed_page_may_call_with_a_key_of_its_tenant() {
     assert!(field(&headers, "access-control-allow-headers").contains("authorization"));
     let (status, headers) = question(&doors, "https://elsewhere.example").await;
     assert_eq!((status, field(&headers, ALLOWED)), (StatusCode::FORBIDDEN, ""));
-    // No browser asks: the question of a client of uploads.
+    // Without the header `access-control-request-method` this is the question of a client of
+    // uploads, not of a browser.
     let (status, headers, _) =
         from_page(&doors, ("OPTIONS", "/v1/uploads"), &[("origin", PAGE)]).await;
     assert_eq!((status, field(&headers, ALLOWED)), (StatusCode::NO_CONTENT, PAGE));

@@ -1,4 +1,4 @@
-//! A service that stops tells so to whoever connects, until it has stopped.
+//! A service that is stopping reports this on every new connection, until it has stopped.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -15,8 +15,8 @@ use crate::support::doors::{Doors, code};
 use crate::support::server::{ask, status_of};
 use crate::support::wait::until;
 
-/// New connections are accepted while running requests finish and the desks close. They do not
-/// delay the end.
+/// New connections are accepted while running requests finish and the desks close. These
+/// connections do not delay the end of the service.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn who_connects_while_a_service_stops_is_told_so() {
     let doors = Doors::with(Limits { drain_s: 600, ..Limits::standard() }).await;
@@ -31,7 +31,7 @@ async fn who_connects_while_a_service_stops_is_told_so() {
     });
     let get = async |path: &str| ask(port, ("GET", path), &[], "").unwrap();
     assert_eq!(get("/readyz").await.status, 200);
-    // A request that runs until its client has sent the rest.
+    // This request runs until its client has sent the rest of it.
     let mut running = TcpStream::connect(("127.0.0.1", port)).unwrap();
     let head = "POST /v1/sessions HTTP/1.1\r\nhost: localhost\r\n\
                 content-type: application/json\r\ncontent-length: 2\r\n\r\n{";

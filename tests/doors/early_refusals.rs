@@ -25,7 +25,7 @@ fn head(path: &str, kind: &str, bytes: usize) -> String {
     )
 }
 
-/// What has arrived of the next answers once it has this text.
+/// Reads answers until they contain this text. Returns everything that has been read.
 fn answered(stream: &mut TcpStream, text: &str) -> String {
     let (mut answer, mut some) = (String::new(), [0; 4096]);
     while !answer.contains(text) {
@@ -36,7 +36,8 @@ fn answered(stream: &mut TcpStream, text: &str) -> String {
     answer
 }
 
-/// A client that sends all before it reads gets the refusal, and its connection serves on.
+/// A client that sends the whole body before it reads gets the refusal, and can use its connection
+/// again.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_refusal_arrives_although_the_body_is_still_sent() {
     let (_doors, port) = listening().await;
@@ -61,7 +62,7 @@ async fn a_refusal_arrives_although_the_body_is_still_sent() {
     }
 }
 
-/// However large the body is: 400 MB, as a recording of a day can have.
+/// The refusal also arrives for a large body: 400 MB, as a recording of a day can have.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_refusal_of_a_large_body_arrives() {
     let (doors, port) = listening().await;
@@ -77,7 +78,7 @@ async fn a_refusal_of_a_large_body_arrives() {
     assert_eq!(doors.service.budget().used(), 0);
 }
 
-/// What is left of a body is no head of another request, which would have to arrive sooner.
+/// The rest of a slow body may take longer than the limit for the head of a request.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_refusal_of_a_slow_body_arrives() {
     let (_doors, port) = Doors::listening(Limits { head_s: 1, ..Limits::standard() }).await;
@@ -95,7 +96,7 @@ async fn a_refusal_of_a_slow_body_arrives() {
     answered(&mut stream, "ok\n");
 }
 
-/// Who sends nothing more after a refusal keeps the connection for seconds only.
+/// If a client sends no more after a refusal, its connection is closed within seconds.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_body_that_never_comes_ends_with_its_refusal() {
     let (doors, port) = listening().await;

@@ -376,8 +376,8 @@ fn requests(session: &str, closed: &str) -> Vec<(&'static str, String, Value, Co
     ]
 }
 
-/// Requests about two bases: `used` has a position and an epoch, and a session uses it; the position
-/// of `unlocated` is unknown. More than two bases, or two epochs, are not allowed.
+/// Requests about two bases: `used` has a position and an epoch, and a session uses it; the
+/// position of `unlocated` is unknown. More than two bases, or two epochs, are not allowed.
 fn base_requests(
     used: &str,
     unlocated: &str,
@@ -683,7 +683,8 @@ fn a_refused_command_has_its_code_in_one_line() {
     }
 }
 
-/// Also that to a request which is refused before its call begins, by both doors.
+/// Every answer of both doors has the id of its request, also if the request is refused before its
+/// call begins.
 #[tokio::test]
 async fn every_answer_has_the_id_of_its_request() {
     let doors = Doors::open().await;
@@ -711,7 +712,7 @@ async fn every_answer_has_the_id_of_its_request() {
     }
 }
 
-/// A refusal that passes without a change has a delay.
+/// A refusal that ends without a change of the request states a delay.
 #[test]
 fn a_full_mailbox_asks_for_a_delay() {
     let retry_after = std::time::Duration::from_millis(100);

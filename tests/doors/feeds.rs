@@ -299,7 +299,7 @@ async fn a_caster_that_dies_is_missed_and_comes_back() {
     let mut delay = BRISK.delay;
     for pair in [&[death], &times[1..]].concat().windows(2) {
         let gap = pair[1] - pair[0];
-        // One second more for a busy machine.
+        // The limit has one second more, for a busy machine.
         let bounds = delay / 2..delay + Duration::from_secs(1);
         assert!(bounds.contains(&gap), "asked after {gap:?}, not {bounds:?}");
         delay = (2 * delay).min(BRISK.delay_ceiling);

@@ -27,7 +27,7 @@ fn fetch(tenant: &str, host: &str) -> FetchConfiguration {
     }
 }
 
-/// Posts a job of these options, and no files.
+/// Posts a job with these options and no files.
 async fn posted(doors: &Doors, key: &Key, options: Value) -> Answer {
     let kind = format!("multipart/form-data; boundary={BOUNDARY}");
     let content = body(&[("options", options.to_string().as_bytes())]);
@@ -67,7 +67,8 @@ async fn a_host_of_a_tenant_is_for_that_tenant() {
             }
         }
     }
-    // The host is asked for the tenant's files, and the other one's refused requests ask nobody.
+    // The host gets requests for the tenant's files only. The refused requests of the other tenant
+    // contact no host.
     let jobs = async || get(&doors, &acme, "/v1/jobs").await["jobs"].clone();
     let succeeded =
         |jobs: &Value| jobs.as_array().unwrap().iter().any(|job| job["state"] == "SUCCEEDED");

@@ -1,5 +1,4 @@
-//! Positions in the ETRS89 and heights above the geoid, by every way in which solutions leave the
-//! service.
+//! Positions in the ETRS89 and heights above the geoid, in every output of solutions.
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
@@ -60,7 +59,8 @@ fn ecef(solution: &Value) -> Ecef {
     Ecef::new(of("xM"), of("yM"), of("zM"))
 }
 
-/// The same solution but for its position, and for the directions east, north and up there.
+/// Checks that two solutions differ only in their position and in the local directions east, north
+/// and up.
 fn without_position(solution: &Value) -> Value {
     let mut solution = solution.clone();
     solution["position"] = Value::Null;
@@ -70,8 +70,8 @@ fn without_position(solution: &Value) -> Value {
     solution
 }
 
-/// A base in ITRF2014, with coordinates of 2010: the plate has moved by some half a metre since
-/// 1989. The same session without the option has the same bits but for the position.
+/// A base in ITRF2014, with coordinates of 2010: the plate has moved by about half a metre since
+/// 1989. The same session without the option has the same bits, except for the position.
 #[tokio::test]
 async fn a_session_asks_for_the_etrs89_and_heights_above_the_geoid() {
     let (doors, base) = served("ITRF2014@2010.0").await;
@@ -100,8 +100,8 @@ async fn a_session_asks_for_the_etrs89_and_heights_above_the_geoid() {
         assert!((of("heightM") - geoid_m - orthometric_m).abs() < 1e-4, "{answer}");
     }
 
-    // What is stored is as computed: another option gives the stored solutions otherwise, the
-    // estimator goes on, and a restart changes nothing.
+    // Solutions are stored as computed. Another option transforms the same stored solutions
+    // differently, the estimator continues, and a restart changes nothing.
     let listed = async |doors: &Doors, session: &str| {
         let path = format!("/v1/sessions/{session}/solutions?revisions=first");
         doors.get(&path).await.1["solutions"].as_array().unwrap().clone()
@@ -118,8 +118,8 @@ async fn a_session_asks_for_the_etrs89_and_heights_above_the_geoid() {
     assert_eq!(listed(&doors, &asked).await, answers);
 }
 
-/// Lists, explanations, streams with their summaries, watches, tracks and resent epochs have what a
-/// push answers.
+/// Lists, explanations, streams with their summaries, watches, tracks and resent epochs have the
+/// same position as the answer to a push.
 #[tokio::test]
 async fn every_way_out_gives_the_same() {
     let (doors, base) = served("ITRF2020@2015.0").await;
@@ -218,8 +218,8 @@ async fn a_stream_gives_the_same() {
     }
 }
 
-/// A base whose frame nobody has stated: a session that names it is refused; one that takes the
-/// nearest base has its positions as computed, and the reason.
+/// A base without a stated frame. A session that names this base is refused. A session that takes
+/// the nearest base has its positions in the frame of the base, and the reason.
 #[tokio::test]
 async fn an_unknown_frame_is_not_guessed() {
     let (doors, unknown) = served("").await;
@@ -256,7 +256,8 @@ async fn an_unknown_frame_is_not_guessed() {
     assert_eq!(ecef(&stated[3]), ecef(&computed[3]));
     let base_frame = |solution: &Value| solution["position"]["baseFrame"].clone();
     assert_eq!((base_frame(&computed[3]), base_frame(&stated[3])), (json!("UNKNOWN"), json!("")));
-    // The option states the frame of a base that states none, in the base's own frame, too.
+    // The option states the frame of a base that states none. Positions in the base's own frame
+    // then have it, too.
     let (_, native) = doors
         .post("/v1/sessions", {
             let overrides = json!({"base_frame": "NAD83(2011)@2010.0"});
@@ -297,7 +298,7 @@ async fn an_unknown_frame_is_not_guessed() {
     assert!(track("nmea").await.lines().all(|line| !line.contains(",E,")));
 }
 
-/// Outside of Europe, and outside of the table.
+/// Positions outside of Europe, and outside of the geoid's table.
 #[tokio::test]
 async fn outside_there_is_neither() {
     let doors = Doors::with_geoid(&plane()).await;
@@ -313,7 +314,7 @@ async fn outside_there_is_neither() {
     }
 }
 
-/// A job has the bytes of `solve`, and is refused with its field.
+/// A job gives the same bytes as `solve`. A wrong option is refused with its field.
 #[tokio::test]
 async fn a_job_asks_for_them_too() {
     let doors = Doors::with_geoid(&plane()).await;

@@ -1,4 +1,4 @@
-//! The guides: their commands, run in their order in a folder of their own, as a newcomer would.
+//! The guides: their commands run in order, in a folder of their own, as a new user would run them.
 
 use std::path::Path;
 use std::process::Command;
@@ -65,7 +65,7 @@ fn run(guide: &str, script: &str) -> String {
     printed
 }
 
-/// What the guides name in capitals is a reason, a status or a code of the program.
+/// Names in capitals in the guides are reasons, statuses or codes of the program.
 #[test]
 fn the_reasons_and_codes_of_the_guides_exist() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -76,7 +76,7 @@ fn the_reasons_and_codes_of_the_guides_exist() {
         let is_name = |word: &&str| {
             3 < word.len() && word.bytes().all(|byte| byte.is_ascii_uppercase() || byte == b'_')
         };
-        // Every second part stands between back quotes.
+        // Every second part is between back quotes.
         for name in text.split('`').skip(1).step_by(2).filter(is_name) {
             let is_known = vocabulary.contains(&format!("\"{name}\""))
                 || codes.contains(&format!("| `{name}` |"));
@@ -119,7 +119,7 @@ fn an_operator_serves_two_tenants() {
         ],
     );
     assert!(printed.contains("with 26 satellites"), "{printed}");
-    // What another tenant asks for, and what it gets.
+    // Another tenant asks for the first one's data, and gets none.
     assert!(printed.contains("{\"heads\":[],"), "{printed}");
     assert!(printed.contains("SESSION_NOT_FOUND"), "{printed}");
     assert!(printed.contains("SESSION_QUOTA_EXCEEDED"), "{printed}");
@@ -179,10 +179,10 @@ fn calls() -> Vec<String> {
     calls.map(|line| line.trim().to_owned()).collect()
 }
 
-/// What is named on one page is answered as it stands there, with ids in place of dots.
+/// Every call on a page is answered as printed there, with ids in place of dots.
 #[test]
 fn the_calls_of_the_pages_are_answered() {
-    // They need a calibration, and a receiver's recording.
+    // These calls need an antenna calibration or a receiver's recording.
     let is_left_out = |call: &String| call.contains("antenna") || call.contains("chunk.ubx");
     let (left_out, calls): (Vec<String>, Vec<String>) = calls().into_iter().partition(is_left_out);
     assert_eq!(left_out.len(), 2, "{left_out:?}");

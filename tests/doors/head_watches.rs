@@ -27,7 +27,8 @@ fn sessions(content: &Value) -> Vec<&str> {
     heads.map(|head| head["session"].as_str().unwrap()).collect()
 }
 
-/// All sessions come first, then those with news: an epoch, a label, the end, a new session.
+/// All sessions come first, then those that change: by an epoch, a label, their end, or as new
+/// sessions.
 #[tokio::test]
 async fn a_watch_has_all_heads_and_then_what_changes() {
     let doors = Doors::open().await;
@@ -61,7 +62,7 @@ async fn a_watch_has_all_heads_and_then_what_changes() {
     assert_eq!((&gone["gone"], sessions(&gone).len()), (&json!([other]), 0));
 }
 
-/// A session that matches a filter no longer is gone.
+/// A session that no longer matches the filter is reported as gone.
 #[tokio::test]
 async fn a_watch_has_a_filter() {
     let doors = Doors::open().await;
@@ -79,7 +80,7 @@ async fn a_watch_has_a_filter() {
     assert_eq!(next().await.gone, [session]);
 }
 
-/// More sessions than a message has heads.
+/// There are more sessions than a message may have heads.
 #[tokio::test]
 async fn a_large_fleet_comes_in_several_messages() {
     const SESSIONS: usize = 501;

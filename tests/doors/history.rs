@@ -189,7 +189,7 @@ fn check_interval(interval: &Value, solutions: &[&Value]) {
     assert_eq!(number(&position["longitudeDeg"]), *longitudes.last().unwrap());
 }
 
-/// Two sessions, then one, then none: what is purged leaves the fleet.
+/// A deleted session is no longer in the fleet's history: two sessions, then one, then none.
 async fn a_fleet_is_the_sum_of_its_sessions(database: Database) {
     let doors = Doors::on(&database.url).await;
     let fleet = format!("/v1/history/fleet?{}&points=1", whole());
@@ -234,7 +234,8 @@ async fn a_fleet_is_the_sum_of_its_sessions(database: Database) {
     doors.close().await;
 }
 
-/// Sessions by the area in which they have been, or are: page by page, and with the other filters.
+/// Sessions by the area in which they have been or are now, page by page and with the other
+/// filters.
 async fn sessions_are_found_by_area(database: Database) {
     let doors = Doors::on(&database.url).await;
     let mut driven_ids = Vec::new();
@@ -254,7 +255,8 @@ async fn sessions_are_found_by_area(database: Database) {
 
     let around = format!("{},{},{},{}", south - 0.1, west - 0.1, north + 0.1, east + 0.1);
     let beside = format!("{},{},{},{}", north + 0.1, west - 0.1, north + 0.2, east + 0.1);
-    // From the session eastwards around the world to its west: all meridians but a few beside it.
+    // An area from just east of the session around the world to just west of it does not contain
+    // it.
     let without = format!("{},{},{},{}", south - 0.1, east + 0.1, north + 0.1, west - 0.1);
     let across = format!("{},{},{},{}", south - 0.1, west - 0.1, north + 0.1, west - 0.2);
     let (heads, histories) = ("/v1/sessions:heads?", format!("/v1/history/sessions?{}", whole()));

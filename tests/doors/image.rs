@@ -1,4 +1,5 @@
-//! The files of the image: the program has what they name. `scripts/check-image` runs the recipe.
+//! The files of the image name only arguments, variables and options that the program has.
+//! `scripts/check-image` runs the recipe.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -29,7 +30,8 @@ fn the_image_names_what_the_program_has() {
         let unknown: Vec<_> = variables(&text).difference(&variables(&help)).copied().collect();
         assert!(unknown.is_empty(), "{file}: {unknown:?}");
     }
-    // Everything in the configuration is understood; its certificate is not on this machine.
+    // The program knows every option of the configuration. It stops at the certificate, which is
+    // not on this machine.
     let configuration = Path::new(env!("CARGO_MANIFEST_DIR")).join("docker/graphfix.toml");
     let said = graphfix(&[
         "serve",

@@ -156,8 +156,8 @@ fn observations_have_the_fields_of_the_schema() {
     assert_eq!(names, schema.field.iter().map(FieldDescriptorProto::json_name).collect());
 }
 
-/// What `buf lint` would ask of `proto/`, and that numbers are used one after another: a hole is a
-/// number that was removed, which must be reserved.
+/// `proto/` has the style that `buf lint` requires. Field numbers are consecutive: a missing number
+/// was removed, and must be reserved.
 #[test]
 fn the_schema_is_written_by_its_rules() {
     let mut wrong = Vec::new();

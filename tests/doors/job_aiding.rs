@@ -1,4 +1,5 @@
-//! What a job lacks and the service has: ephemerides, of now or of an archive, and a base.
+//! Jobs whose files lack ephemerides or a base, which the service supplies: present ephemerides,
+//! those of an archive, or its own base.
 
 use axum::http::StatusCode;
 use graphfix::aiding::bases::{BaseId, NewBase};
@@ -32,7 +33,7 @@ async fn result(doors: &Doors, done: &Value) -> Vec<u8> {
     bytes_of(doors, &format!("/v1/jobs/{}/result", done["job"].as_str().unwrap())).await.1
 }
 
-/// What the report says that the positions rest on.
+/// The lines of the report on the sources of the positions.
 async fn provenance(doors: &Doors, done: &Value) -> String {
     let path = format!("/v1/jobs/{}/report", done["job"].as_str().unwrap());
     doors.get(&path).await.1["provenance"].to_string()
@@ -76,7 +77,7 @@ fn navigation_of(pair: &Pair) -> Vec<u8> {
     file
 }
 
-/// The service's own ephemerides stand in for the part that is missing.
+/// The service's own ephemerides replace the missing part of the request.
 #[tokio::test]
 async fn without_navigation_data_the_service_gives_its_own() {
     let doors = doors().await;
@@ -97,7 +98,7 @@ async fn without_navigation_data_the_service_gives_its_own() {
     let said = provenance(&doors, &done).await;
     assert!(said.contains("navigation: the service's own ephemerides"), "{said}");
     assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"), "the same ephemerides");
-    // Other ephemerides since then make no other request of it.
+    // New ephemerides of the service do not make the same request a different one.
     doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
     let (status, again) = post(&doors, body(&alone), &named).await;
     assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
@@ -148,7 +149,7 @@ async fn without_a_base_the_nearest_of_the_service_is_taken() {
     let (code_of, field, message) = failure(&lacking);
     assert_eq!((code_of, field), ("BASE_REQUIRED", "base"), "{message}");
 
-    // One far away, one without epochs of the time, and the right one.
+    // There are three bases: one far away, one without epochs of this time, and the right one.
     let (elsewhere, place) = PAIR.base_elsewhere(30_000.0);
     let far = stored(&doors, place, elsewhere).await;
     stored(&doors, PAIR.position, Vec::new()).await;
@@ -177,8 +178,8 @@ async fn without_a_base_the_nearest_of_the_service_is_taken() {
     assert_eq!(got, (404, "BASE_NOT_FOUND", Some("options.base")), "{refused}");
 }
 
-/// The result and the report say the frame that the base of the service states, or that it states
-/// none.
+/// The result and the report have the frame that the service's base states, or report that it
+/// states none.
 #[tokio::test]
 async fn the_frame_of_an_own_base_is_said() {
     let doors = doors().await;
@@ -200,8 +201,8 @@ async fn the_frame_of_an_own_base_is_said() {
     }
 }
 
-/// An archive fills the base, and no rover has needed it: its file is fetched for the job, by a
-/// recording and by a session, with the same positions.
+/// An archive fills the base, and no rover has needed the file before. It is fetched for a job of a
+/// recording and for a job of a session, with the same positions.
 #[tokio::test]
 async fn files_of_a_base_come_from_its_archive() {
     let archive = host(vec![("/20260101.obs", PAIR.base_file(Some(PAIR.position)))]).await;
@@ -231,7 +232,8 @@ async fn files_of_a_base_come_from_its_archive() {
     assert!(140 < files && files == fixes(result(&doors, &of_session).await), "{files}");
 }
 
-/// An archive that is silent holds a job for no longer than an input may be fetched.
+/// An archive that does not answer delays a job no longer than the time limit for fetching an
+/// input.
 #[tokio::test]
 async fn an_archive_that_is_silent_ends_the_job() {
     let silent = HostileCaster::start(|_, stream, _| async move {

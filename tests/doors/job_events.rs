@@ -45,7 +45,7 @@ async fn events_follow_a_job_to_its_end() {
     assert_eq!((&last["state"], &last["progress"]["epochs"]), (&json!("SUCCEEDED"), &json!(301)));
     assert_eq!(events.next().await, None, "something follows the end");
     assert_eq!(doors.get(&format!("/v1/jobs/{job}")).await.1, last);
-    // Of a job that has ended there is one event.
+    // A watch of a job that has ended gets one event.
     let mut again = Events::of(&doors, &format!("/v1/jobs/{job}/events")).await;
     assert_eq!(again.next().await, Some(("ended".to_owned(), last)));
     assert_eq!(again.next().await, None);
@@ -54,7 +54,7 @@ async fn events_follow_a_job_to_its_end() {
         .await;
 }
 
-/// A watch of gRPC has the same messages, and sees what another client does.
+/// A watch by gRPC has the same messages, and sees changes by another client.
 #[tokio::test]
 async fn a_watch_sees_a_cancellation() {
     let doors = doors().await;

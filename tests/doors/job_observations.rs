@@ -49,7 +49,7 @@ async fn a_log_becomes_rinex() {
             assert!((read - sent).abs() < 2e-3, "{read} {sent}");
         }
     }
-    // The positions were computed as always.
+    // The job has also computed positions.
     let (_, counted) = doors.get(&format!("/v1/jobs/{job}/report")).await;
     assert_eq!((&counted["epochs"], &counted["answered"]), (&json!(61), &json!(61)), "{counted}");
 
@@ -84,7 +84,7 @@ async fn the_observations_of_a_session_are_not_a_job() {
     assert!(String::from_utf8(all).unwrap().contains("\"jobs\":[]"));
 }
 
-/// `solve` never writes over what it reads.
+/// `solve` never overwrites its input.
 #[test]
 fn solve_writes_rinex_beside_its_input() {
     let folder = tempfile::tempdir().unwrap();

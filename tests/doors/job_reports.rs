@@ -95,7 +95,7 @@ async fn a_report_is_a_page_for_browsers() {
     assert_eq!(doors.service.budget().used(), 0);
 }
 
-/// A report without figures is a page all the same, and figures are deleted with their job.
+/// A report without figures is still a page. Figures are deleted with their job.
 #[tokio::test]
 async fn figures_are_kept_as_long_as_their_result() {
     let doors = Doors::open().await;
@@ -103,7 +103,7 @@ async fn figures_are_kept_as_long_as_their_result() {
     assert_eq!(ended(&doors, &job).await["state"], "SUCCEEDED");
     let path = format!("/v1/jobs/{job}/report?format=html");
     assert!(report(&doors, &path, None).await.1.contains("<h2>Track</h2>"));
-    // Named by their result, they outlive a restart and the removal of old files.
+    // Figures have the name of their result, so a restart and the removal of old files keep them.
     let doors = doors.restarted().await;
     doors.service.jobs().remove_expired().await.unwrap();
     assert!(report(&doors, &path, None).await.1.contains("<h2>Track</h2>"));
@@ -111,7 +111,7 @@ async fn figures_are_kept_as_long_as_their_result() {
     let names = std::fs::read_dir(&results).unwrap().map(|entry| entry.unwrap().path());
     let figures = names.filter(|name| name.to_string_lossy().ends_with("-figures"));
     let [figures] = figures.collect::<Vec<_>>().try_into().unwrap();
-    // As of a job of an earlier version.
+    // Jobs of earlier versions have no figures.
     let kept = std::fs::read(&figures).unwrap();
     std::fs::remove_file(&figures).unwrap();
     let (_, page) = report(&doors, &path, None).await;

@@ -1,5 +1,5 @@
-//! Jobs over stored sessions: the same positions again, and what other options, another base or
-//! smoothing would have given.
+//! Jobs over stored sessions: the same positions again, or those that other options, another base
+//! or smoothing would have given.
 
 use std::collections::BTreeMap;
 
@@ -59,7 +59,7 @@ async fn given(doors: &Doors, navigation: &Navigation) {
     doors.service.navigation().push(navigation.clone(), "simulation").await.unwrap();
 }
 
-/// The stored solutions of a session of a revision, as rows of a CSV file of computed ones.
+/// A session's stored solutions of one revision, as rows like those of a job's CSV result.
 async fn stored(doors: &Doors, id: &SessionId, revision: &str) -> Vec<String> {
     let path = format!("/v1/sessions/{id}/track.csv?revisions=all");
     let (status, content) = bytes_of(doors, &path).await;
@@ -88,8 +88,8 @@ async fn rows_of(doors: &Doors, job: &str) -> Vec<String> {
     text.lines().skip(1).map(ToOwned::to_owned).collect()
 }
 
-/// A session through other ephemerides, other options and a reset: its own options give the bits of
-/// its solutions, and its revisions.
+/// A session had other ephemerides, other options and a reset on the way. A job with the session's
+/// own options gives the bits of its solutions and its revisions.
 async fn the_session_itself_gives_its_stored_solutions(database: Database) {
     let doors = Doors::on(&database.url).await;
     given(&doors, &DRIVE.navigation_without_galileo()).await;
@@ -119,7 +119,8 @@ async fn the_session_itself_gives_its_stored_solutions(database: Database) {
     assert!(300 < revisions.len());
     assert_eq!(rows, revisions);
 
-    // The same options by name are no other options. A span that begins later is another session.
+    // The session's options, named in the request, give the same result. A span that begins later
+    // gives the result of a session that begins there.
     let named = json!({"session": id.to_string(), "mode": "fgo", "profile": "general",
         "overrides": {"elevation_mask_deg": "12"}, "format": "csv"});
     assert_eq!(computed(&doors, asked(&named)).await.0, stored(&doors, &id, "0").await);
@@ -133,8 +134,8 @@ async fn the_session_itself_gives_its_stored_solutions(database: Database) {
     doors.close().await;
 }
 
-/// Jobs that the end of their service cuts off: the session with its own options and an arc, with
-/// another mode and smoothing, and with a base from a file.
+/// The service stops while jobs run, and they continue after its restart. They compute a session
+/// with its own options and a reset, with another mode and smoothing, and with a base from a file.
 async fn a_restart_changes_no_answer(database: Database) {
     let mut doors = Doors::on(&database.url).await;
     given(&doors, &DRIVE.navigation).await;
@@ -158,7 +159,7 @@ async fn a_restart_changes_no_answer(database: Database) {
     doors.close().await;
 }
 
-/// The same epochs in a session of each mode.
+/// A job in another mode gives the positions of a session in this mode with the same epochs.
 async fn another_mode_gives_what_a_session_of_it_has(database: Database) {
     let doors = Doors::on(&database.url).await;
     given(&doors, &DRIVE.navigation).await;
@@ -208,8 +209,9 @@ fn check_positions(rows: &[String], solutions: &[Solution]) {
     }
 }
 
-/// Epochs of the base come while those of the rover do, some of them late. The session's own
-/// options give each answer the base epochs that it had; other ones have all that are stored.
+/// Base epochs arrive between rover epochs, some of them late. With the session's own options a job
+/// uses for each answer the base epochs that the session had. With other options it uses all stored
+/// base epochs.
 async fn a_base_gives_what_a_session_relative_to_it_has(database: Database) {
     let doors = Doors::on(&database.url).await;
     given(&doors, &PAIR.navigation).await;
@@ -229,7 +231,7 @@ async fn a_base_gives_what_a_session_relative_to_it_has(database: Database) {
     let (rows, _) = computed(&doors, asked(&own)).await;
     assert_eq!(rows, stored(&doors, &relative, "0").await);
 
-    // A base makes a session without one relative to it.
+    // With a base, the job over a session without one gives positions relative to it.
     let with_base = json!({"session": alone.to_string(), "base": base.to_string(),
         "format": "csv"});
     let (rows, report) = computed(&doors, asked(&with_base)).await;
@@ -240,7 +242,7 @@ async fn a_base_gives_what_a_session_relative_to_it_has(database: Database) {
     let (nearest, _) = computed(&doors, asked(&nearest)).await;
     assert!(nearest.len() == rows.len() && nearest[149].contains("FIXED"), "{}", nearest[149]);
 
-    // A file of a base is as good as the base that it fills.
+    // A base file gives the same positions as a base that was filled with this file.
     let file = PAIR.base_file(Some(PAIR.position));
     let filled = bases.create(Default::default()).await.unwrap().name.id;
     let (status, answer) =
@@ -256,7 +258,7 @@ async fn a_base_gives_what_a_session_relative_to_it_has(database: Database) {
     doors.close().await;
 }
 
-/// A session is deleted while one job waits for another, and while one reads it.
+/// Sessions are deleted while one job waits for its turn and while another reads its session.
 async fn a_deleted_session_fails_its_jobs(database: Database) {
     let doors = Doors::on(&database.url).await;
     given(&doors, &DRIVE.navigation).await;
@@ -282,7 +284,7 @@ async fn a_deleted_session_fails_its_jobs(database: Database) {
         let (status, answer) = doors.send("DELETE", &path, json!({})).await;
         assert_eq!(status, StatusCode::OK, "{answer}");
     }
-    // The request of a job is still that of this job.
+    // The same request still gives the same job.
     let (status, again) = post(&doors, options, &named).await;
     assert_eq!((status, &again["job"]), (StatusCode::OK, &first["job"]), "{again}");
     drop(turns);
@@ -346,8 +348,8 @@ async fn what_is_no_job_over_a_session_is_refused() {
     assert_eq!(doors.get("/v1/jobs").await.1["jobs"], json!([]));
 }
 
-/// A job takes the epochs that are stored when it is created. The same request is the same job,
-/// also when more have come.
+/// A job takes the epochs that are stored when it is created. The same request gives the same job,
+/// also after more epochs have come.
 #[tokio::test]
 async fn a_job_takes_what_is_stored() {
     let doors = Doors::with_jobs(JobsConfiguration::standard()).await;
@@ -371,7 +373,7 @@ async fn a_job_takes_what_is_stored() {
     assert_eq!((&done["state"], &done["progress"]["epochs"]), (&json!("SUCCEEDED"), &json!(50)));
 }
 
-/// A key that changes jobs and reads nothing does not read a session by a job.
+/// A key with the right to create jobs but not to read cannot read a session by a job.
 #[tokio::test]
 async fn a_session_is_for_keys_that_read() {
     let doors = Doors::with_jobs(JobsConfiguration::standard()).await;

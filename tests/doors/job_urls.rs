@@ -91,13 +91,13 @@ async fn a_job_of_urls_gives_the_bytes_of_solve(database: Database) {
         assert_eq!(input["url"], options["urls"][index]["url"]);
     }
     assert_eq!(done["inputs"][2]["bytes"], MINUTE.base.len());
-    // The same request is the same job, and fetches nothing.
+    // The same request gives the same job, and fetches nothing again.
     let connections = host.connections.load(Ordering::SeqCst);
     let (status, again) = post(&doors, without_files(&options), &named).await;
     assert_eq!((status, &again["job"]), (StatusCode::OK, &json!(job)));
     assert_eq!((connections, host.connections.load(Ordering::SeqCst)), (3, 3));
 
-    // A file beside URLs, by the other door.
+    // A request through the other door has a file and URLs.
     use v1::create_job_request::Content;
     let message = |content| v1::CreateJobRequest { content: Some(content) };
     let url = |part: &str, path: &str| v1::JobUrl {
@@ -195,7 +195,7 @@ async fn urls_that_are_not_allowed_are_refused() {
     assert_eq!(doors.get("/v1/jobs").await.1["jobs"], json!([]));
 }
 
-/// A host that sends half of a file at once, and the rest when it is asked for the `whole`-th time.
+/// A host that sends only half of a file, until the `whole`-th request gets the whole file.
 async fn hesitant(whole: usize) -> HostileCaster {
     HostileCaster::start(move |number, mut stream, _| async move {
         let content = &MINUTE.rover;

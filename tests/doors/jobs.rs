@@ -1,4 +1,4 @@
-//! `/v1/jobs`: files in, a file of positions and a report out.
+//! `/v1/jobs`: a job takes files, and gives a file of positions and a report.
 
 use std::io::Write;
 use std::num::NonZero;
@@ -75,18 +75,18 @@ pub(crate) async fn bytes_of(doors: &Doors, path: &str) -> (StatusCode, Vec<u8>)
     (status, axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap().to_vec())
 }
 
-/// All turns of batch jobs: no job computes until they are dropped.
+/// Takes all turns of batch jobs, so that no job computes until they are dropped.
 pub(crate) async fn all_turns(doors: &Doors) -> Vec<BatchTurn> {
     let lane = doors.service.sessions().batch_lane();
     let threads = available_parallelism().map_or(1, NonZero::get);
-    // One thread is left to others.
+    // Batch jobs leave one thread to other work.
     let turns = stream::iter(1..threads.max(2));
     let operator = Tenant::operator();
     turns.then(|_| lane.turn(&operator)).collect().await
 }
 
-/// Lets a job compute a turn at a time until its progress is seen. It stays there while the turns
-/// are held.
+/// Lets a job compute one turn at a time until it reports progress. The job then waits until the
+/// returned turns are dropped.
 pub(super) async fn held_midway(doors: &Doors, job: &str) -> (Vec<BatchTurn>, Value) {
     for _ in 0..60 {
         let turns = all_turns(doors).await;
@@ -99,9 +99,9 @@ pub(super) async fn held_midway(doors: &Doors, job: &str) -> (Vec<BatchTurn>, Va
     panic!("the job {job} does not run");
 }
 
-/// Restarts a service whose turns are held.
+/// Restarts a service while a test has all its turns.
 pub(super) async fn restarted_midway(doors: Doors, turns: Vec<BatchTurn>) -> Doors {
-    // A run that waits for its turn sees that the service stops when it has it.
+    // A run that waits for its turn notices the stop of the service when it gets the turn.
     let stopped = async {
         sleep(HEARTBEAT).await;
         drop(turns);
@@ -171,7 +171,7 @@ async fn a_job_gives_the_bytes_of_solve() {
     assert_eq!(list["jobs"].as_array().unwrap().len(), 2, "{list}");
     let token = list["nextPageToken"].as_str().unwrap();
     let (_, rest) = doors.get(&format!("/v1/jobs?pageToken={token}")).await;
-    // The standard with a base, as of `solve`.
+    // The default mode with a base is that of `solve`.
     assert_eq!(rest["jobs"][2]["options"]["mode"], "rtk-fgo", "{rest}");
     for (query, expected) in
         [("state=SUCCEEDED&order=OLDEST_FIRST", 5), ("state=QUEUED", 0), ("state=RUNNING", 0)]
@@ -209,7 +209,7 @@ async fn a_report_states_what_the_positions_rest_on() {
     let lines = report["provenance"].to_string();
     assert!(lines.contains("marker at -2414266.9000") && lines.contains("as given"), "{lines}");
 
-    // The same by the other door.
+    // gRPC gives the same job.
     let mut client = JobsClient::new(doors.router.clone());
     let request = v1::GetJobRequest { job: job.clone() };
     let by_grpc = client.get(request.clone()).await.unwrap().into_inner();
@@ -281,7 +281,7 @@ async fn inputs_are_told_by_their_content() {
     let (rover, navigation) = (gzip(&MINUTE.rover), gzip(&MINUTE.navigation));
     let packed = body(&[("options", b"{}"), ("navigation", &navigation), ("rover", &rover)]);
     let packed = created(&doors, packed).await;
-    // The standard without a base.
+    // The default mode without a base.
     let plain = created(&doors, MINUTE.body(&json!({"mode": "fgo"}))).await;
     for job in [&packed, &plain] {
         assert_eq!(ended(&doors, job).await["state"], "SUCCEEDED");
@@ -435,7 +435,7 @@ async fn a_failed_job_states_code_part_and_remedy() {
             assert_eq!((status.as_u16(), code(&problem)), (409, "JOB_WITHOUT_RESULT"));
         }
     }
-    // Half a file gives its good half.
+    // A file that is cut in half gives the epochs before the cut.
     let job = created(&doors, body(&[("rover", cut), ("navigation", navigation)])).await;
     let half = ended(&doors, &job).await;
     assert_eq!(half["state"], "SUCCEEDED", "{half}");
@@ -486,7 +486,7 @@ async fn a_cancelled_job_ends_and_makes_room() {
         assert_eq!((status, &ended["state"]), (StatusCode::OK, &json!("CANCELLED")), "{ended}");
     }
     drop(turns);
-    // The one behind runs, so the cancelled ones have given their turn up.
+    // The next job runs, so the cancelled ones have given up their turn.
     assert_eq!(ended(&doors, &last).await["state"], "SUCCEEDED");
     for job in [&waiting, &long] {
         assert_eq!(ended(&doors, job).await["state"], "CANCELLED");
@@ -509,7 +509,7 @@ async fn a_job_that_a_restart_interrupts_goes_on() {
     assert_eq!(files(&second), 5, "the result of the first run, or its checkpoint, is left");
 }
 
-/// A batch is answered as a whole.
+/// A job with the option `batch` answers all epochs together, so an interrupted run begins again.
 #[tokio::test]
 async fn a_batch_that_a_restart_interrupts_begins_again() {
     let first = doors(|_| {}).await;
@@ -547,7 +547,7 @@ async fn an_expired_job_is_removed_at_the_start() {
     crate::support::wait::until("removed", status, |status| *status == StatusCode::NOT_FOUND).await;
 }
 
-/// A server's database has no folder beside it.
+/// A Postgres database has no folder beside it, so jobs need a configured one.
 #[tokio::test]
 async fn without_a_folder_no_job_is_taken() {
     on_postgres(async |database| {
@@ -593,7 +593,7 @@ async fn a_queue_gives_each_job_once(database: Database) {
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().progress, progress);
     assert_eq!(store.waiting_jobs().await.unwrap(), 3);
 
-    // The second and the third are silent; the first has a younger heartbeat.
+    // The second and the third job have no heartbeat for two hours; the first has a recent one.
     let silent = "UPDATE jobs SET heartbeat_unix_ms = heartbeat_unix_ms - 7200000 WHERE fence = 1";
     database.execute(&format!("{silent} AND id <> '{}'", first.id)).await;
     let again = [claim(LONG).await.unwrap(), claim(LONG).await.unwrap()];
@@ -605,17 +605,17 @@ async fn a_queue_gives_each_job_once(database: Database) {
         let ended = store.end_job(row.claim(), &succeeded, 1300).await.unwrap();
         assert_eq!(ended, is_ended, "{row:?}");
     }
-    // A cancelled job takes no end.
+    // The end of a run does not change a cancelled job.
     assert!(store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
     assert!(!store.cancel_job(&tenant, &first.id, 1300).await.unwrap());
     assert!(!store.end_job(first.claim(), &succeeded, 1300).await.unwrap());
     assert_eq!(store.job(&tenant, &first.id).await.unwrap().unwrap().state, JobState::Cancelled);
-    // One that is returned waits again, and is not lost.
+    // A returned job waits again, and this does not count as a lost claim.
     assert!(store.return_job(again[0].claim()).await.unwrap());
     assert!(!store.return_job(again[0].claim()).await.unwrap());
     let returned = claim(LONG).await.unwrap();
     assert_eq!((returned.id == again[0].id, returned.fence, returned.lost_claims), (true, 4, 1));
-    // Only where nobody else runs jobs, a start makes an end of claims.
+    // A start ends all claims only on SQLite, where no other process runs jobs.
     let is_alone = database.url.starts_with("sqlite");
     assert_eq!(store.requeue_jobs().await.unwrap(), u64::from(is_alone));
     let page = store.jobs(&tenant, (None, false), 2, None).await.unwrap();
@@ -631,8 +631,8 @@ async fn a_queue_gives_each_job_once(database: Database) {
     store.close().await;
 }
 
-/// Queues jobs of tenants, of which each run takes so long, and lets one after another run until a
-/// tenant has none that waits. Returns the tenants of the jobs in the order of their runs.
+/// Queues jobs of tenants: name, number of jobs and duration of each. Runs one job after another,
+/// until a tenant has no waiting job. Returns the tenants of the jobs in the order of their runs.
 async fn runs(store: &Store, jobs: &[(&str, usize, u64)]) -> Vec<(String, u64)> {
     for (tenant, count, _) in jobs {
         for number in 0..*count {
@@ -657,11 +657,11 @@ async fn runs(store: &Store, jobs: &[(&str, usize, u64)]) -> Vec<(String, u64)> 
     runs
 }
 
-/// Each of two tenants has half of the time, whatever the length and number of its jobs.
+/// Each of two tenants gets half of the time, whatever the length and number of its jobs.
 async fn tenants_have_the_same_time(database: Database) {
     let store = database.store().await;
     let runs = runs(&store, &[("a", 16, 5), ("b", 80, 1)]).await;
-    // From the first minute on.
+    // This holds from the first minute on.
     let mut all = [0, 0];
     for (tenant, seconds) in &runs {
         all[usize::from(tenant == "b")] += seconds;
@@ -675,8 +675,8 @@ async fn tenants_have_the_same_time(database: Database) {
     store.close().await;
 }
 
-/// A tenant that comes has no claim to the time before, and while a tenant has a job running, the
-/// other one's comes next.
+/// A tenant that comes later gets no compensation for the time before. While a job of one tenant
+/// runs, the next job is one of the other tenant.
 async fn a_tenant_that_comes_shares_from_then_on(database: Database) {
     let store = database.store().await;
     let queue = async |tenant: &str, ids: std::ops::Range<usize>| {
@@ -718,7 +718,8 @@ async fn a_request_that_is_repeated_is_one_job(database: Database) {
     store.close().await;
 }
 
-/// Files whose gzip stream is cut off or damaged are used up to there, and the report says so.
+/// Files whose gzip stream is cut off or damaged are used up to this point, and the report states
+/// it.
 #[tokio::test]
 async fn files_that_are_cut_off_or_damaged_are_used_up_to_there() {
     let doors = doors(|_| {}).await;
@@ -726,7 +727,7 @@ async fn files_that_are_cut_off_or_damaged_are_used_up_to_there() {
         let packed = gzip(file);
         packed[..packed.len() * 3 / 4].to_vec()
     };
-    // The base ends before the rover, so its end is read.
+    // The base ends before the rover, so the base's file is read to its end.
     let (first, second) = MINUTE.base.split_at(MINUTE.base.len() / 3);
     let mut damaged = [gzip(first), gzip(second)].concat();
     damaged[gzip(first).len()] ^= 1;

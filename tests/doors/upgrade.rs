@@ -1,6 +1,7 @@
-//! Populated databases of earlier schemas are opened, listed, continued and replayed: that of the first
-//! with raw streams, feeds and archives (migrations 1 to 8, layouts 1 of epochs and 3 of solutions
-//! and snapshots), and that of the last with solutions in a table of their own (migration 16).
+//! Populated databases of earlier schemas are opened, listed, continued and replayed: that of the
+//! first with raw streams, feeds and archives (migrations 1 to 8, layouts 1 of epochs and 3 of
+//! solutions and snapshots), and that of the last with solutions in a table of their own (migration
+//! 16).
 
 use std::path::Path;
 
