@@ -1,5 +1,5 @@
-//! API keys by both doors: who is refused, when, and that nothing is served without an entry in the
-//! table of calls.
+//! API keys by both doors: which requests are refused and when. No call is served without an entry
+//! in the table of calls.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -40,7 +40,7 @@ struct Key {
     secret: String,
 }
 
-/// Creates a key by the door, with another one if the service has keys.
+/// Creates a key by REST. If the service has keys, the call needs the key `by`.
 async fn created(doors: &Doors, by: Option<&Key>, request: Value) -> Key {
     let (status, answer) = asked(doors, by, "POST", "/v1/keys", request).await;
     assert_eq!(status, StatusCode::CREATED, "{answer}");
@@ -208,15 +208,15 @@ async fn refusal(response: Response<Body>) -> Option<String> {
         .into_iter()
         .any(|stream| kind.is_some_and(|kind| kind.as_bytes().starts_with(stream.as_bytes())));
     if is_stream {
-        return None; // It is served; some of these streams have no end.
+        return None; // The call is served. Some of these streams have no end.
     }
     let bytes = axum::body::to_bytes(response.into_body(), usize::MAX).await.unwrap();
     let answer: Value = serde_json::from_slice(&bytes).ok()?;
     answer["code"].as_str().map(ToOwned::to_owned)
 }
 
-/// Without a key, with a wrong one and without a right, every call is refused by either door, and
-/// takes no memory; health and pages are served.
+/// Without a key, with a wrong key and without the right, both doors refuse every call, and no
+/// memory stays reserved. Health and pages are served without a key.
 #[tokio::test]
 async fn every_call_needs_a_key_with_its_right() {
     let doors = Doors::open().await;
@@ -262,7 +262,7 @@ async fn every_call_needs_a_key_with_its_right() {
     until("returned to the budget", budget, |used| *used == 0).await;
 }
 
-/// Status, headers and remedy of refusals; a path that is no call tells nothing else.
+/// Status, headers and remedy of refusals. An unknown path is reported as such, also without a key.
 #[tokio::test]
 async fn a_refusal_says_what_to_do() {
     let doors = Doors::open().await;
@@ -337,8 +337,8 @@ async fn a_key_opens_what_its_rights_allow(database: Database) {
     assert!(revoked["revokedUtc"].is_string(), "{revoked}");
 }
 
-/// A key is found by its id in its tenant only, and by the operator. That of another tenant is not
-/// found, as one that does not exist.
+/// Only its own tenant and the operator find a key by its id. For others the answer is the same as
+/// for a key that does not exist.
 #[tokio::test]
 async fn a_key_is_found_in_its_tenant_and_by_the_operator() {
     let doors = Doors::open().await;
@@ -418,7 +418,7 @@ impl Open {
     }
 }
 
-/// Within a second: streams that send and streams that wait; others go on.
+/// A revocation ends active and idle streams within a second. Streams of other keys continue.
 async fn a_revocation_ends_open_streams_and_watches(database: Database) {
     let doors = Doors::on(&database.url).await;
     let session = doors.session().await;
@@ -452,7 +452,7 @@ async fn a_revocation_ends_open_streams_and_watches(database: Database) {
     stays.stream.until_durable(last + 1).await;
 }
 
-/// A stream and watches from before the first key.
+/// A stream and watches that were opened before the first key exists.
 async fn opened_without(doors: &Doors, session: &str) -> Open {
     let nobody = Key { id: String::new(), secret: "nothing".to_owned() };
     opened(doors, &nobody, session).await
@@ -465,7 +465,7 @@ async fn an_expiry_ends_a_key_and_its_watch(database: Database) {
     let request = json!({"rights": ["device", "read"], "lifetimeS": 3600});
     let key = created(&doors, Some(&admin), request).await;
     let open = opened(&doors, &key, &session).await;
-    // As an earlier expiry that another process sets, such as `graphfix keys rotate`.
+    // Another process, such as `graphfix keys rotate`, sets an earlier expiry in this way.
     database.execute("UPDATE api_key_changes SET number = number + 1").await;
     let expire = format!(
         "UPDATE api_keys SET expires_unix_ms = 1, \
@@ -478,7 +478,8 @@ async fn an_expiry_ends_a_key_and_its_watch(database: Database) {
     assert_eq!((status.as_u16(), code(&answer)), (401, "KEY_EXPIRED"));
 }
 
-/// Many requests while a key is revoked: each answer is whole, or a refusal with its code.
+/// Many requests run while their key is revoked. Each gets a whole answer or a refusal with its
+/// code.
 async fn answers_beside_a_revocation_are_whole(database: Database) {
     let doors = Doors::on(&database.url).await;
     let session = doors.session().await;
@@ -511,7 +512,8 @@ async fn answers_beside_a_revocation_are_whole(database: Database) {
     assert!(0 < a + b + c);
 }
 
-/// The uses of keys are stored when the service stops, and it can start again at once.
+/// The last uses of keys are stored when the service stops, and the service can start again at
+/// once.
 async fn uses_are_noted_and_the_service_starts_again(database: Database) {
     let mut doors = Doors::on(&database.url).await;
     let admin = first_key(&doors).await;

@@ -1,5 +1,5 @@
-//! `graphfix load`: every acknowledged epoch is in the store once, also after `kill -9`. And
-//! `graphfix stream`, which has the same client.
+//! `graphfix load`: every acknowledged epoch is in the store once, also after `kill -9`. Also
+//! `graphfix stream`, which uses the same client.
 
 use std::process::{Command, Stdio};
 
@@ -78,7 +78,7 @@ async fn a_load_outlives_a_kill(database: Database) {
     assert!(5 <= result["breaks"].as_u64().unwrap(), "{result}");
 }
 
-/// A load that cannot be answered fails, and says why.
+/// A load without a service fails with a reason.
 #[test]
 fn a_load_without_a_service_fails() {
     let output = load(free_port(), &["--devices", "1", "--patience", "0"]).output().unwrap();
@@ -121,7 +121,7 @@ async fn a_stream_ends_after_a_refused_epoch() {
     );
 }
 
-/// A packed file that is cut off is sent up to there, and the command says so.
+/// A packed file that is cut off is sent up to the cut, and the command reports this.
 #[tokio::test]
 async fn a_file_that_is_cut_off_is_streamed_up_to_there() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,5 +1,5 @@
-//! `/metrics`: what it counts, in a format that others read, and under names that the alert rules
-//! and the dashboard for Grafana use.
+//! `/metrics`: its counts, its format, which other programs read, and the names that the alert
+//! rules and the dashboard for Grafana use.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
@@ -70,7 +70,7 @@ async fn epochs_stages_commits_and_requests_are_counted() {
     ] {
         assert_eq!(rise(name), expected, "{name}");
     }
-    // The session, the push and the first page of metrics itself.
+    // The requests are the session, the push and the first page of metrics.
     assert_eq!(rise("graphfix_requests_total{door=\"rest\",outcome=\"answered\"}"), 3.0);
     assert_eq!(after["graphfix_committer_working"], 1.0);
     assert!(after["process_resident_memory_bytes"] > 1e6);
@@ -83,7 +83,8 @@ async fn epochs_stages_commits_and_requests_are_counted() {
     assert_eq!(restarted["graphfix_restores_total"], 1.0);
 }
 
-/// By each call, and whether the epoch is refused alone, with its push, or before it is looked at.
+/// Refused epochs of every call are counted, whether an epoch is refused alone, with its push, or
+/// before it is decoded.
 #[tokio::test]
 async fn refused_epochs_are_counted_by_whichever_call() {
     let doors = Doors::open().await;
@@ -154,7 +155,8 @@ async fn read_by(doors: &Doors, key: &world::Key) -> BTreeMap<String, f64> {
     values(&world::sent(doors, key, request).await.text)
 }
 
-/// Each tenant's, and none of a tenant that is not there. Quotas stand beside what they limit.
+/// The page has the use of each tenant beside its quotas, and nothing of a tenant that does not
+/// exist.
 #[tokio::test]
 async fn the_use_of_quotas_is_on_the_page() {
     let doors = Doors::open().await;

@@ -45,7 +45,8 @@ struct Between {
     navigation: Navigation,
 }
 
-/// Four minutes, an epoch a second, 30 m/s: 1.5 km east and west of the start.
+/// Four minutes with an epoch a second at 30 m/s. The rover comes 1.5 km east and west of its
+/// start.
 static BETWEEN: LazyLock<Between> = LazyLock::new(|| {
     let simulated = |east_m: f64| {
         let scenario = Scenario {
@@ -171,10 +172,10 @@ fn changes(answers: &[Solution]) -> Vec<(usize, f64)> {
     answers.iter().enumerate().filter_map(|(index, s)| Some((index, said(s)?))).collect()
 }
 
-/// West at first, where both are at the same distance. East once it was received for a minute,
-/// since the rover is then nearer to it by more than a fifth and a kilometre. West again once the
-/// rover is 500 m west of the start. After each change the rover is fixed again, at the right
-/// position, in both modes.
+/// The west base is used first, when both are at the same distance. The east base is used once it
+/// was received for a minute: the rover is then nearer to it by more than a fifth and by a
+/// kilometre. The west base is used again once the rover is 500 m west of the start. After each
+/// change the rover is fixed again, at the right position, in both modes.
 async fn a_rover_between_two_bases_changes_twice(database: Database) {
     let desk = desk(&database).await;
     let [west, east] = desk.bases().await;
@@ -222,9 +223,9 @@ async fn a_rover_between_two_bases_changes_twice(database: Database) {
     }
 }
 
-/// The bases' epochs arrive with the rover's. Three sessions: one in a service that runs on, one
-/// whose service is killed after each batch, one whose service stops regularly with its state
-/// stored.
+/// Base epochs arrive together with rover epochs. There are three sessions: one in a service that
+/// keeps running, one whose service is killed after each batch, and one whose service stops
+/// regularly and stores its state.
 async fn restarts_and_parking_change_no_bit(database: Database) {
     let steady = desk(&database).await;
     let [west, east] = steady.bases().await;
@@ -265,16 +266,16 @@ async fn restarts_and_parking_change_no_bit(database: Database) {
         assert_eq!(base_of(&again.solution), base_of(&answers[*index]));
         assert_eq!(changes(std::slice::from_ref(&again.solution)).len(), 1);
     }
-    // Now all data is stored, and another base would be chosen: replay uses the base that was used
-    // then.
+    // With all data that are stored now, another base would be chosen. A replay uses the base that
+    // the session used.
     for id in [&whole, &restarted, &parked] {
         let same = Check { compared: expected.len(), ..Check::default() };
         assert_eq!(checked(&database, id).await, same);
     }
 }
 
-/// The nearer base sends nothing: after the age limit the other one is used, which is received. The
-/// first is used again only after it was received for a minute.
+/// The nearer base stops sending. After the age limit the other base is used, which still sends.
+/// The nearer base is used again only after it was received for a minute.
 async fn a_base_that_falls_silent_is_left(database: Database) {
     let desk = desk(&database).await;
     let [west, _] = desk.bases().await;
@@ -324,8 +325,8 @@ async fn far_and_unknown_bases_are_not_used(database: Database) {
     assert!(checked(&database, &session).await.is_same());
 }
 
-/// Without ephemerides the rover's position is unknown, and so is the nearest base. With them the
-/// epoch's own single point gives the position.
+/// Without ephemerides the rover's position is unknown, and so is the nearest base. With
+/// ephemerides the epoch's own single-point position decides.
 async fn who_has_no_position_has_no_base(database: Database) {
     let desk = desk(&database).await;
     for (place, epochs) in &BETWEEN.bases {
@@ -353,7 +354,7 @@ async fn a_choice_serves_positions_on_request(database: Database) {
     for (base, (_, epochs)) in [&west, &east].into_iter().zip(&BETWEEN.bases) {
         desk.push(base, epochs).await;
     }
-    // In the east, 1.4 km from the start.
+    // The rover is 1.4 km east of the start.
     let burst = Burst {
         mode: "rtk-fgo".to_owned(),
         profile: "general".to_owned(),
@@ -376,7 +377,7 @@ async fn a_choice_serves_positions_on_request(database: Database) {
     let solved = desk.sessions.solve(&points, &request).await.unwrap();
     assert_eq!(base_of(&solved.solution), Some(east.as_str()));
     assert_eq!(solved.solution.status, Status::Fixed);
-    // The result of another choice in a session.
+    // A recomputation gives the result of another choice of bases.
     let session = desk.session(BaseChoice::One(west.clone())).await;
     desk.submit(&session, &BETWEEN.rover[..100]).await;
     let store = database.store().await;
@@ -441,7 +442,7 @@ async fn between() -> (Doors, [String; 2]) {
     (doors, ids)
 }
 
-/// A list through REST, the word through gRPC: the same answers.
+/// A list of bases through REST and the word `nearest` through gRPC give the same answers.
 #[tokio::test]
 async fn both_doors_take_the_nearest_base() {
     let (doors, [west, east]) = between().await;

@@ -29,7 +29,7 @@ fn degrees(field: &str, hemisphere: &str) -> f64 {
     if "SW".contains(hemisphere) { -angle } else { angle }
 }
 
-/// No position is sent before the rover's is known; then it is the last answered one.
+/// No position is sent until the rover has one. From then on its last answered position is sent.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_caster_is_told_where_the_rover_is() {
     let doors = Doors::open().await;
@@ -106,8 +106,8 @@ async fn following(doors: &Doors, port: u16) -> String {
     base["base"].as_str().unwrap().to_owned()
 }
 
-/// Frames of the log, each message 1005 5 m further than the one before: the data of one
-/// connection, and of the next one, which begins without a message 1005.
+/// Frames of the log, in which each message 1005 moves the base by 5 m. Returns the data of one
+/// connection and of the next one, which begins without a message 1005.
 fn moving() -> Option<[Vec<u8>; 2]> {
     let folder = data::set("galway-static")?;
     let log = unpacked(&folder.join("base-20181004-1236.ubx.gz"));
@@ -127,8 +127,8 @@ fn moving() -> Option<[Vec<u8>; 2]> {
     Some(streams)
 }
 
-/// The epochs of a stream by time, each with the latest position before it, the first ones with the
-/// first position.
+/// The epochs of a stream by time, each with the latest position before it. Epochs before the first
+/// position have the first position.
 fn places(stream: &[u8]) -> Vec<(GpsTime, Ecef)> {
     let mut place = None;
     let mut epochs: Vec<(GpsTime, Option<Ecef>)> = Vec::new();
@@ -143,7 +143,7 @@ fn places(stream: &[u8]) -> Vec<(GpsTime, Ecef)> {
     epochs.into_iter().map(|(time, place)| (time, place.unwrap_or(first))).collect()
 }
 
-/// Messages move the base by 5 m each, many of them in one chunk, and between two connections: each
+/// Messages move the base by 5 m each, many in one chunk, and also between two connections. Each
 /// epoch keeps the position that was sent for it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn epochs_keep_the_place_of_their_virtual_base() {
@@ -165,7 +165,7 @@ async fn epochs_keep_the_place_of_their_virtual_base() {
     .await;
     let base = BaseId::parse(&following(&doors, caster.port).await).unwrap();
     let ask = async || doors.service.bases().get(&base).await.unwrap();
-    // The last epoch of a connection may wait for a message that does not come.
+    // The last epoch of a connection may be incomplete, because its last message does not come.
     let held = until("filled", ask, |held| expected.len() - 2 <= held.epochs).await;
     let mut seen = Vec::new();
     for number in 1..=held.epochs as u64 {

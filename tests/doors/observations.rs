@@ -21,8 +21,8 @@ use crate::support::reading::epochs_of;
 /// More than two pages of the store.
 const EPOCHS: usize = 300;
 
-/// A session with the first epochs of the drive, and a phase in one of them that no RINEX column
-/// takes; and these epochs without that phase.
+/// A session with the first epochs of the drive. One epoch has a phase that is too large for a
+/// column of RINEX. Also returns these epochs without this phase.
 pub(super) async fn driven(doors: &Doors) -> (String, Vec<Epoch>) {
     let (status, _) = doors.upload("/v1/navigation", DRIVE.navigation_file()).await;
     assert_eq!(status, StatusCode::OK);
@@ -83,7 +83,7 @@ async fn the_file_has_every_observation_that_was_sent() {
     let part = file(&doors, &format!("/v1/sessions/{session}/observations.rnx?{span}")).await;
     assert_same(&epochs_of(part.as_bytes()), &sent[20..=250]);
 
-    // The same bytes as a format of the solutions, by both doors.
+    // The list of solutions in the format RINEX is the same file, by both doors.
     let path = format!("/v1/sessions/{session}/solutions?format=rinex");
     assert_eq!(file(&doors, &path).await, whole);
     assert_eq!(file(&doors, &format!("{path}&{span}")).await, part);

@@ -54,8 +54,8 @@ fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
 
-/// A minute without satellites: with wheels the position stays known, with a constant velocity it
-/// does not.
+/// A minute without satellites: with odometry of the wheels the errors stay small, and without it
+/// they do not.
 #[test]
 fn wheels_lead_through_a_tunnel() {
     let tunnel = 100..160;
@@ -73,7 +73,8 @@ fn wheels_lead_through_a_tunnel() {
             bare_m.extend_from_slice(&errors_m(simulator, bare, &options, batch)[tunnel.clone()]);
         }
         let worst_m = with_m.iter().copied().fold(0.0, f64::max);
-        // 1 % of scale and 1° of heading over some 500 m, and the error at the tunnel's entrance.
+        // The limit allows for errors of 1 % in scale and 1° in heading over about 500 m, and for
+        // the error at the entrance of the tunnel.
         assert!(worst_m < 30.0, "{mode:?} {batch}: {worst_m}");
         let (with_m, bare_m) = (mean(&with_m), mean(&bare_m));
         assert!(with_m < 0.5 * bare_m, "{mode:?} {batch}: {with_m} with, {bare_m} without");
@@ -192,8 +193,8 @@ async fn both_doors_carry_odometry() {
     }
 }
 
-/// Odometry is stored with its epoch: with it a resent epoch is the same one, without it it is
-/// another.
+/// Odometry is stored with its epoch. A resent epoch with the same odometry has the same content;
+/// without odometry it has other content.
 #[tokio::test]
 async fn odometry_is_part_of_an_epochs_content() {
     let doors = Doors::open().await;

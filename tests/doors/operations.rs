@@ -40,7 +40,7 @@ fn good() -> Vec<u8> {
     MINUTE.body(&json!({"mode": "fgo"}))
 }
 
-/// A rover's file that is no recording.
+/// A body whose rover file is not a recording.
 fn bad() -> Vec<u8> {
     body(&[("rover", b"nothing of a receiver"), ("navigation", &MINUTE.navigation)])
 }
@@ -67,7 +67,7 @@ async fn listed(client: &mut Client, request: ListOperationsRequest) -> (Vec<Str
     (names, page.next_page_token)
 }
 
-/// A message that is packed with its type.
+/// The message in an `Any`, whose type is checked.
 fn unpacked<M: Message + Default>(any: &Any, name: &str) -> M {
     assert_eq!(any.type_url, format!("type.googleapis.com/graphfix.v1.{name}"));
     M::decode(&*any.value).unwrap()
@@ -92,7 +92,7 @@ async fn an_operation_is_the_job_of_its_id() {
     assert_eq!(refusal(&refused), (Code::FailedPrecondition, "JOB_NOT_ENDED".to_owned()));
     drop(turns);
 
-    // Longer than the computation: it answers as soon as that ends.
+    // The time limit is longer than the computation. The call answers as soon as the job ends.
     let done = waited(&mut client, &name, None).await;
     assert_eq!((&done.name, done.done), (&name, true));
     let job: v1::Job = unpacked(done.metadata.as_ref().unwrap(), "Job");
@@ -133,7 +133,7 @@ async fn what_fails_and_what_is_cancelled_is_an_error() {
     let cancelled = waited(&mut client, &name, None).await;
     let Some(Outcome::Error(error)) = &cancelled.result else { panic!("{cancelled:?}") };
     assert_eq!((cancelled.done, error.code), (true, Code::Cancelled as i32));
-    // It stays as it is.
+    // A second cancellation changes nothing.
     client.cancel_operation(request).await.unwrap();
     assert_eq!(got(&mut client, &name).await, cancelled);
     drop(turns);
@@ -173,7 +173,7 @@ async fn lists_come_in_pages_and_by_state() {
     }
 }
 
-/// Deletes a job by each of the calls; the refusal has its code.
+/// Deletes a job by one of the calls. Returns the code of a refusal.
 async fn deleted_by(doors: &Doors, call: usize, job: &str) -> Result<(), String> {
     let job = job.to_owned();
     match call {
@@ -202,7 +202,7 @@ async fn deleted_by(doors: &Doors, call: usize, job: &str) -> Result<(), String>
     }
 }
 
-/// Each call that deletes a job refuses one that runs, and one that is gone.
+/// Each call that deletes jobs refuses a running job, and one that is already deleted.
 #[tokio::test]
 async fn every_call_deletes_what_has_ended_only() {
     let doors = Doors::with_jobs(JobsConfiguration::standard()).await;
@@ -277,7 +277,7 @@ async fn googles_client_follows_jobs() {
     };
     let good = create(&["rover=@rover", "navigation=@navigation"]);
     let bad = create(&["rover=@nothing", "navigation=@navigation"]);
-    // It runs for seconds.
+    // This job runs for seconds, so it can be cancelled.
     let last = create(&["rover=@hour/rover", "base=@hour/base", "navigation=@hour/navigation"]);
 
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));

@@ -93,8 +93,8 @@ fn a_wrong_act_is_refused() {
     }
 }
 
-/// A service listens beyond loopback once a key exists. Wrong keys from one address are bounded,
-/// and do not keep its right keys out.
+/// A service listens beyond loopback once a key exists. The number of wrong keys from one address
+/// is limited; right keys from the same address still work.
 #[tokio::test]
 async fn a_service_with_keys_listens_to_others() {
     let database = Database::sqlite();

@@ -1,4 +1,5 @@
-//! Quotas of tenants: refused by code, limit and delay, in force at once, counted by tenant.
+//! Quotas of tenants: refusals have code, limit and delay; changes are in force at once; use is
+//! counted by tenant.
 
 use std::process::Command;
 
@@ -146,7 +147,7 @@ async fn files_of_jobs_are_refused_by_their_quota(database: Database) {
     let refused = (429, "JOB_STORAGE_QUOTA_EXCEEDED".to_owned());
     let inputs = (MINUTE.rover.len() + MINUTE.navigation.len() + MINUTE.base.len()) as u64;
 
-    // What is accepted is finished, though its result exceeds the quota.
+    // An accepted job is finished, even if its result exceeds the quota.
     set(&doors, &operator, "a", json!({"jobBytes": inputs})).await;
     let (status, _, job) = post(&a, &[]).await;
     assert_eq!(status, 201, "{job}");
@@ -160,7 +161,8 @@ async fn files_of_jobs_are_refused_by_their_quota(database: Database) {
     assert_eq!(upload(1).await, refused);
     assert_eq!(post(&b, &[]).await.0, 201, "of another tenant");
 
-    // A body is refused where it exceeds what is left, and an upload by its size.
+    // A body is refused at the byte that exceeds the rest of the quota, and an upload by its stated
+    // size.
     let left = inputs - 1;
     set(&doors, &operator, "a", json!({"jobBytes": inputs + result + left})).await;
     let (status, code, answer) = post(&a, &[]).await;
@@ -170,7 +172,7 @@ async fn files_of_jobs_are_refused_by_their_quota(database: Database) {
     assert_eq!(used().await, inputs + result + left);
     assert_eq!(upload(1).await, refused);
 
-    // Another job of the same files has them once.
+    // Files that two jobs have in common count once.
     set(&doors, &operator, "a", json!({"jobBytes": 3 * inputs + result})).await;
     let (status, _, answer) = post(&a, &[]).await;
     assert_eq!(status, 201, "{answer}");

@@ -122,7 +122,7 @@ async fn split_anywhere_it_gives_the_epochs_of_the_file(database: Database) {
     let expected = epochs(decode(&stream, None).0);
     assert!(200 < expected.len(), "{}", expected.len());
     assert_eq!(stored(&store, &id).await, expected);
-    // Only the observed bytes: they contain the ephemerides.
+    // The session has only these bytes. They contain the ephemerides.
     let key = store.session_of_any(id.as_str()).await.unwrap().unwrap().key;
     let rows = store.epochs_after(key, None, 10_000).await.unwrap();
     let single = rows.iter().filter(|row| row.solution.solution.status == Status::Single).count();
@@ -246,7 +246,7 @@ async fn a_phones_log_comes_in_pieces(database: Database) {
     }
 }
 
-/// A log is refused with the wrong line, in every part of its text; measurements that the phone
+/// The refusal of a log names the wrong line, in every part of the log. Measurements that the phone
 /// could not use are counted.
 #[tokio::test]
 async fn phones_logs_are_judged() {
@@ -384,7 +384,7 @@ async fn both_doors_answer_alike() {
         }
         let (_, held) = doors.get(&format!("/v1/sessions/{session}")).await;
         assert_eq!(held["rawThrough"], json!(stream.len()));
-        // Its ephemerides serve this session alone, until another device brings them too.
+        // The decoded ephemerides serve this session only, until another device sends the same.
         let (_, navigation) = doors.get("/v1/navigation").await;
         assert_eq!(navigation["satellites"], json!([]));
         let other = doors.session().await;
@@ -439,7 +439,7 @@ async fn what_is_no_stream_is_refused() {
     let file = PAIR.base_file(None);
     let (_, answer) = push(&doors, &session, "end=true", &file[..300]).await;
     assert_eq!((&answer["rawThrough"], &answer["results"]), (&json!(300), &json!([])));
-    // The stream has ended, the session has not.
+    // The stream has ended, but the session accepts another one.
     let (_, answer) = push(&doors, &session, "offset=300", &file[..100_000]).await;
     assert!(9 < answer["results"].as_array().unwrap().len(), "{answer}");
 }

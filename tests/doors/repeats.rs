@@ -1,4 +1,4 @@
-//! Requests that are sent again, and changes of what somebody else has changed.
+//! Requests that are sent again, and changes to objects that somebody else has changed meanwhile.
 
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode};
@@ -98,7 +98,7 @@ async fn a_named_request_creates_one_session(database: Database) {
     doors.close().await;
 }
 
-/// Of many that come at once, one creates.
+/// Of many equal requests at the same time only one creates a session.
 #[tokio::test]
 async fn repetitions_at_once_create_one_session() {
     let doors = Doors::open().await;

@@ -1,4 +1,5 @@
-//! Epochs older than their session's retention are removed, and what remains keeps its promises.
+//! Epochs older than their session's retention are removed. The others can still be listed, resent
+//! and replayed.
 
 use axum::http::StatusCode;
 use graphfix::aiding::{AidingDesk, AidingLimits};
@@ -54,8 +55,8 @@ fn refusal(outcome: &EpochOutcome) -> &'static str {
     outcome.result.as_ref().unwrap_err().code().name()
 }
 
-/// Three devices for six days, with a retention of two days: after the third day as much is removed
-/// as comes, and the promises hold for what is left, also after a restart.
+/// Three devices for six days, with a retention of two days. After the third day as many epochs are
+/// removed as arrive. The remaining ones can be listed and replayed, also after a restart.
 async fn a_store_with_retention_stays_flat(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
     let sessions = desk(&store, &clock).await;
@@ -74,7 +75,8 @@ async fn a_store_with_retention_stays_flat(database: Database) {
     }
     println!("rows {rows:?}, bytes {sizes:?}");
     let per_day = 3 * PER_DAY as i64;
-    // Up to a snapshot of the day before, so that the oldest day can be replayed.
+    // Epochs from a snapshot of the previous day on are kept, so that the oldest day can be
+    // replayed.
     let kept = (i64::from(RETENTION) + 2) * per_day;
     assert!(per_day * i64::from(RETENTION) < rows[5] && rows[5] < kept, "{rows:?}");
     assert_eq!(rows[4], rows[5], "{rows:?}");
@@ -136,7 +138,7 @@ async fn days(database: &Database, table: &str) -> i64 {
     database.count(&format!("{partitions} AND inhparent = '{table}'::regclass")).await
 }
 
-/// Of a day that is older than the service's retention, what another session keeps for longer is
+/// A day is older than the service's retention. Epochs of a session that keeps them for longer are
 /// moved, and the partition is dropped.
 #[tokio::test]
 async fn days_are_dropped_and_what_is_kept_is_moved() {
@@ -151,7 +153,7 @@ async fn days_are_dropped_and_what_is_kept_is_moved() {
             live_a_day(&sessions, &clock, &short, day).await;
             live_a_day(&sessions, &clock, &long, day).await;
             if day == 0 {
-                // As if a revision had been stored on two days.
+                // Imitates a revision that was stored on two days.
                 for (day, seq) in [("NULL", 3), ("DATE '2026-01-01'", 3), ("NULL", 4)] {
                     let revision = format!(
                         "INSERT INTO revisions (session, seq, revision, gps_time_ns, day, status, \
@@ -164,7 +166,7 @@ async fn days_are_dropped_and_what_is_kept_is_moved() {
             sessions.remove_expired().await.unwrap();
             counts.push(days(&database, "epochs").await);
         }
-        // Two days of the retention, one that a snapshot may reach back, two of the margin, today.
+        // Two days of retention, one that a snapshot may reach back, a margin of two, and today.
         assert_eq!(counts, [1, 2, 3, 4, 5, 5, 5, 5, 5]);
         let kept = database.count("epochs_kept").await;
         assert_eq!(kept, 4 * PER_DAY as i64, "only what is kept for ever is moved");
@@ -194,7 +196,7 @@ async fn days_are_dropped_and_what_is_kept_is_moved() {
     .await;
 }
 
-/// A session's own retention takes the place of the service's, also after a change.
+/// A session's own retention replaces the service's, also after a change.
 async fn a_session_has_its_own_retention(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
     let sessions = desk(&store, &clock).await;
@@ -224,7 +226,7 @@ async fn a_session_has_its_own_retention(database: Database) {
     assert_eq!(refused.code().name(), "INVALID_FIELD");
 }
 
-/// Nothing of a closed session has to be replayed, so all of it expires.
+/// A closed session need not be replayed, so all its epochs expire.
 async fn a_closed_session_expires(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
     let sessions = desk(&store, &clock).await;
@@ -247,8 +249,8 @@ async fn a_closed_session_expires(database: Database) {
     assert!(check.is_same() && check.compared == 0, "{check:?}");
 }
 
-/// A snapshot of another version cannot be read: then the next day's is the beginning, and without
-/// any a replay is refused by name.
+/// A snapshot of another version cannot be read. A replay then begins at the snapshot of the next
+/// day. Without a readable snapshot it is refused with its code.
 async fn a_replay_needs_a_readable_snapshot(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
     let sessions = desk(&store, &clock).await;
@@ -273,7 +275,7 @@ async fn a_replay_needs_a_readable_snapshot(database: Database) {
     assert_eq!(refused.code().name(), "REPLAY_START_MISSING");
 }
 
-/// The REST door takes the option, checks it, and shows what is in force.
+/// The REST door accepts the option, checks it, and shows the retention in force.
 #[tokio::test]
 async fn retention_is_an_option_of_a_session() {
     let doors = Doors::open().await;
@@ -288,8 +290,8 @@ async fn retention_is_an_option_of_a_session() {
     assert_eq!(refused["field"], json!("retentionDays"));
 }
 
-/// A clock that is set years ahead removes nothing, at once or at a restart, until a device sends
-/// an epoch of that time. Time that passes is counted all the same.
+/// A clock that is set years ahead removes nothing, neither at once nor at a restart, until a
+/// device sends an epoch of that time. Time that really passes is still counted.
 async fn a_step_of_the_clock_removes_nothing(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
     let sessions = desk(&store, &clock).await;

@@ -1,5 +1,5 @@
-//! Passwords at casters and secrets of webhooks: stored under the operator's key, which rotates and
-//! may be lost; and the database's URL from a file.
+//! Passwords at casters and secrets of webhooks are encrypted with the operator's key, which may be
+//! rotated or lost. Also the database's URL from a file.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -43,7 +43,7 @@ fn keys(folder: &Path, current: char, former: &[char]) -> SecretsConfiguration {
     SecretsConfiguration { key_file, former_key_files, key: None }
 }
 
-/// Why a service does not start with these keys.
+/// The error with which a service refuses to start with these keys.
 async fn refused(database: &Database, secrets: SecretsConfiguration) -> String {
     let url = database.url.clone();
     let configuration = ServiceConfiguration { database: url, secrets, ..Default::default() };
@@ -90,7 +90,7 @@ async fn a_password_is_stored_under_the_key_in_force(database: Database) {
                        "password": PASSWORD});
     let new = json!({"label": "roof", "ntrip": ntrip, "requestId": "roof"});
 
-    // Without a key, while no API key is needed: as it is.
+    // Without a key of secrets, and while no API key is needed, a password is stored as it is.
     let doors = Doors::on_with_secrets(&database.url, SecretsConfiguration::default()).await;
     let (status, base) = doors.post("/v1/bases", new.clone()).await;
     assert_eq!(status, StatusCode::CREATED, "{base}");
@@ -99,7 +99,7 @@ async fn a_password_is_stored_under_the_key_in_force(database: Database) {
     assert_eq!(database.text(STORED).await, PASSWORD);
     assert!(done(&["secrets", "list", "--database", &database.url]).contains("not encrypted: 1"));
 
-    // With a key it is encrypted at the start, and the caster still gets it.
+    // With a key the password is encrypted at the start, and the caster still gets it.
     let mut ids = Vec::new();
     for secrets in [keys(folder.path(), 'a', &[]), keys(folder.path(), 'b', &['c', 'a'])] {
         let doors = Doors::on_with_secrets(&database.url, secrets).await;
@@ -123,7 +123,7 @@ async fn a_password_is_stored_under_the_key_in_force(database: Database) {
     let line = String::from_utf8(started.stderr).unwrap();
     assert!(line.contains("error[SECRETS_KEY_UNKNOWN]"), "{line}");
 
-    // The key is lost: its secrets are given up.
+    // The key is lost: `forget` removes the secrets that it has encrypted.
     assert!(done(&["secrets", "list", "--database", &database.url]).contains(&ids[1]));
     let unknown = graphfix(&["secrets", "forget", "nope", "--database", &database.url]);
     assert_eq!(unknown.status.code(), Some(1));
@@ -159,7 +159,8 @@ async fn a_service_with_api_keys_stores_no_secret_as_it_is(database: Database) {
     doors.close().await;
     assert_eq!(database.text(STORED).await, "");
 
-    // With a key it is taken. The same request again is known; one with another password is not.
+    // With a key the password is accepted. The same request again gives the same base. A request
+    // with another password is a conflict.
     let folder = tempfile::tempdir().unwrap();
     let doors = Doors::on_with_secrets(&database.url, keys(folder.path(), 'a', &[])).await;
     let named = |password: &str| {
@@ -222,7 +223,7 @@ fn the_url_of_the_database_may_be_in_a_file() {
 
     let both = graphfix(&["keys", "list", "--database", &database, "--database-file", file]);
     assert_eq!(both.status.code(), Some(2));
-    // What stands on the command line comes before the environment.
+    // The command line has priority over the environment.
     let elsewhere = format!("sqlite://{}", folder.path().join("elsewhere.db").display());
     for (argument, variable) in [
         (["--database-file", file], ("GRAPHFIX_DATABASE", &*elsewhere)),
@@ -242,8 +243,8 @@ fn the_url_of_the_database_may_be_in_a_file() {
     let line = String::from_utf8(absent.stderr).unwrap();
     assert!(line.contains("FILE_NOT_READABLE") && line.contains("/no/such/file"), "{line}");
 
-    // A service reads it, too; there it stands in the configuration. It is refused beyond loopback
-    // without TLS, and names the port, so it has opened the database.
+    // A service also reads the file, here named by the configuration. The service is refused beyond
+    // loopback without TLS. The refusal names the port, so the database was opened before.
     let configuration = folder.path().join("graphfix.toml");
     let listen = format!("0.0.0.0:{}", free_port());
     let text = format!("listen = \"{listen}\"\ndatabase_file = {file:?}\n");

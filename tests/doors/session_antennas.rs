@@ -67,7 +67,7 @@ fn navigation_file() -> Vec<u8> {
     file
 }
 
-/// What `solve` answers, with these calibrations.
+/// The solutions of `solve` with these calibrations.
 fn solved(calibrated: Option<&[(&str, &str)]>) -> Vec<Solution> {
     let input = |name: &str, bytes: Vec<u8>| Input::from_bytes(name.to_owned(), bytes.into());
     let antex = calibrated.map(|antennas| antex_file(antennas).into_bytes());
@@ -96,7 +96,7 @@ impl Desk {
         Self { sessions: Sessions::open(store, aiding.clone(), SessionLimits::service()), aiding }
     }
 
-    /// Navigation data, and a base whose file's header contains position and antenna.
+    /// Uploads navigation data, and a base whose file's header contains position and antenna.
     async fn fill(&self) -> BaseId {
         let (navigation, _) = read_navigation(navigation_file().as_slice()).unwrap();
         self.aiding.navigation.push(navigation, "test").await.unwrap();
@@ -143,7 +143,7 @@ fn rover() -> Vec<SequencedEpoch> {
     epochs
 }
 
-/// Replayed by a program that has the stored calibrations only.
+/// The result of a replay that has the stored calibrations only.
 async fn replayed(database: &Database, id: &SessionId) -> Check {
     let store = database.store().await;
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
@@ -158,7 +158,7 @@ fn assert_same(answers: &[Solution], expected: &[Solution]) {
     }
 }
 
-/// The same bits as `solve --antex`, also after a restart without the ANTEX file.
+/// A session gives the same bits as `solve --antex`, also after a restart without the ANTEX file.
 async fn a_session_corrects_as_solve_does_and_replays_without_the_file(database: Database) {
     let expected = solved(Some(&[ROVER, BASE]));
     let desk = Desk::open(&database, &[ROVER, BASE]).await;
@@ -177,8 +177,8 @@ async fn a_session_corrects_as_solve_does_and_replays_without_the_file(database:
     assert!(check.is_same() && EPOCHS <= check.compared, "{check:?}");
 }
 
-/// The base's antenna is calibrated after half of the epochs: from then on the session answers like
-/// one that begins there, and replay does the same.
+/// A calibration of the base's antenna is added after half of the epochs. From then on the session
+/// answers like one that begins there, and a replay does the same.
 async fn a_base_that_is_calibrated_later_begins_the_estimator_again(database: Database) {
     let desk = Desk::open(&database, &[ROVER]).await;
     let base = desk.fill().await;
@@ -194,7 +194,7 @@ async fn a_base_that_is_calibrated_later_begins_the_estimator_again(database: Da
     for (answer, expected) in answers.iter().zip(&expected) {
         let (answered, begun) = (answer.estimate.as_ref(), expected.estimate.as_ref());
         let apart_m = answered.unwrap().position.distance_m(begun.unwrap().position);
-        // Ambiguities from before would keep the base's 6 cm in the height.
+        // Ambiguities from before would keep the base's correction of 6 cm in the height.
         assert!(apart_m < 0.01, "{}: {apart_m}", expected.time);
     }
     desk.sessions.drain().await;
@@ -245,8 +245,8 @@ async fn a_burst_corrects_as_a_session_does(database: Database) {
     assert_eq!(error.code(), Code::AntennaUnknown);
 }
 
-/// Both doors: the antenna and its calibration are in the session, one that is not calibrated is
-/// refused with a code.
+/// By both doors a session shows its antenna and the calibration. An antenna without a calibration
+/// is refused with a code.
 #[tokio::test]
 async fn doors_name_the_antenna_or_refuse_it() {
     let doors = Doors::with_antex(&antex_file(&[ROVER, BASE])).await;

@@ -272,7 +272,7 @@ async fn a_closed_session_is_readable(database: Database) {
     assert_eq!(stored_numbers(&sessions, &id).await, [1, 2, 3]);
 }
 
-/// Deleted while epochs wait; what it stored is removed, by the next service if need be.
+/// A session is deleted while epochs wait. Its rows are removed, if necessary by the next service.
 async fn a_deleted_session_leaves_nothing(database: Database) {
     let store = database.store().await;
     let sessions = desk(&store).await;
@@ -334,7 +334,7 @@ async fn an_update_holds_for_the_epochs_that_follow(database: Database) {
     assert_ne!(expected[0], expected[1]);
 }
 
-/// With one thread the session's task cannot run between calls that do not wait.
+/// The test has one thread, so the session's task does not run between calls that do not wait.
 async fn a_full_mailbox_asks_to_wait(database: Database) {
     let sessions = desk(&database.store().await).await;
     let id = created(&sessions).await;
@@ -352,7 +352,7 @@ async fn a_full_mailbox_asks_to_wait(database: Database) {
     assert_eq!(stored_numbers(&sessions, &id).await, (1..=66).collect::<Vec<_>>());
 }
 
-/// The delay is between the base and twice it, and not the same for all.
+/// The delay is between the base delay and twice the base delay, and it varies.
 fn assert_waits(error: &SessionError) {
     let delays: Vec<_> = (0..20).map(|_| error.retry_after().unwrap()).collect();
     let base = limits().retry_after;
@@ -367,7 +367,7 @@ async fn active_sessions_are_bounded(database: Database) {
     let error = sessions.submit(&id, batch([1])).await.unwrap_err();
     assert_eq!(error.code().name(), "TOO_MANY_ACTIVE_SESSIONS", "{error}");
     assert_waits(&error);
-    // A session can be closed all the same.
+    // A session with a full mailbox can still be closed.
     assert!(sessions.close(&id).await.unwrap().closed_unix_ms.is_some());
 }
 
@@ -404,7 +404,7 @@ async fn parked_sessions_go_on(database: Database) {
         for id in &ids {
             assert_eq!(stored_numbers(&sessions, id).await, [1, 2, 3, 4]);
         }
-        // A task may start before the one before it has left its state.
+        // A task may start before the previous task has left its state in memory.
         let restores = sessions.counts().restores();
         assert_eq!(restores < 3 * 5, is_kept, "{restores} restores");
     }
@@ -415,7 +415,7 @@ async fn parked_sessions_go_on(database: Database) {
         ids.push(created(&sessions).await);
         sessions.submit(ids.last().unwrap(), batch(1..5)).await.unwrap();
     }
-    // What changes while a session is parked is in force when it continues.
+    // A change while a session is parked is in force when the session continues.
     let update = SessionUpdate { mode: Some("ekf".to_owned()), ..SessionUpdate::default() };
     sessions.update(&ids[0], update).await.unwrap();
     sessions.submit(&ids[0], batch([5])).await.unwrap();
@@ -425,7 +425,7 @@ async fn parked_sessions_go_on(database: Database) {
     let other = desk_with(&database.store().await, limits()).await;
     other.submit(&ids[1], batch([5])).await.unwrap();
     let next = match sessions.submit(&ids[1], batch([6])).await {
-        // The parked state is not the newest one, and is dropped.
+        // The parked state is outdated, and is dropped.
         Err(refused) => {
             assert_eq!(refused.code().name(), "WRITTEN_ELSEWHERE");
             sessions.submit(&ids[1], batch([6])).await
@@ -513,7 +513,7 @@ async fn another_writer_is_noticed(database: Database) {
     let id = created(&one).await;
     one.submit(&id, batch([1])).await.unwrap();
     other.submit(&id, batch([2])).await.unwrap();
-    // `one` learns of 2 only when the store refuses its own commit.
+    // `one` learns of epoch 2 only when the store refuses its commit.
     let error = one.submit(&id, batch([2])).await.unwrap_err();
     assert_eq!(error.code().name(), "WRITTEN_ELSEWHERE");
     let again = one.submit(&id, batch([2, 3])).await.unwrap();
@@ -672,7 +672,7 @@ async fn resets_are_bounded(database: Database) {
     assert!(sessions.submit(&id, vec![epoch(3, 2.0)]).await.unwrap().outcomes[0].result.is_ok());
 }
 
-/// The options that this version knows are shown, those of another one do no harm.
+/// The options that this version knows are listed. Stored options of another version do no harm.
 async fn sessions_with_options_of_another_version_are_listed(database: Database) {
     let sessions = desk(&database.store().await).await;
     let (id, other) = (created(&sessions).await, created(&sessions).await);

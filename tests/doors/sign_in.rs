@@ -1,4 +1,4 @@
-//! Sign-in of browsers: a key for a cookie, and what the cookie is worth.
+//! Sign-in of browsers: a key is exchanged for a cookie, which has the rights of the key.
 
 use axum::body::Body;
 use axum::http::{HeaderMap, Request, StatusCode};
@@ -90,7 +90,8 @@ async fn a_browser_signs_in_and_out() {
     assert_eq!((status.as_u16(), code(&refused)), (401, "SIGN_IN_ENDED"));
 }
 
-/// A sign-in is worth what its key is, and ends with it. A proxy with TLS gets a secure cookie.
+/// A sign-in has the rights of its key and ends with the key. A proxy with TLS gets a secure
+/// cookie.
 #[tokio::test]
 async fn a_sign_in_ends_with_its_key() {
     let doors = Doors::open().await;

@@ -1,4 +1,4 @@
-//! What is stored for a year: bytes on the disk for each epoch.
+//! Bytes on the disk for each stored epoch, which decide the size of a database after a year.
 
 use std::sync::LazyLock;
 
@@ -20,12 +20,13 @@ on_both_databases!(
 
 /// Epochs of the longest run.
 const EPOCHS: usize = 560;
-/// Measured is from here on: each session has its first snapshot, which later ones replace.
+/// Number of epochs before the measurement begins: each session then has its first snapshot, which
+/// later ones replace.
 const FROM: usize = 300;
 const SESSIONS: usize = 2;
 
-/// A receiver under open sky with two signals of each satellite above a mask, which logs as RINEX
-/// does: whole thousandths, and C/N0 in quarters of a dB.
+/// A receiver under open sky with two signals of each satellite above an elevation mask. Values are
+/// rounded as in RINEX, to thousandths, and C/N0 to quarters of a dB.
 struct Device {
     epochs: Vec<SequencedEpoch>,
     navigation: Navigation,
@@ -43,7 +44,7 @@ impl Device {
     }
 }
 
-/// 25 or 26 satellites, and 33 or more.
+/// One receiver has 25 or 26 satellites, the other 33 or more.
 static DEVICES: LazyLock<[Device; 2]> = LazyLock::new(|| [15.0, 5.0].map(Device::above));
 
 fn logged(mut epoch: Epoch) -> Epoch {
@@ -153,7 +154,7 @@ async fn columns_are_those_of_the_solutions(database: Database) {
     }
 }
 
-/// Epochs are stored in chains of 16, of which any can be asked for. A chain with a gap is corrupt.
+/// Epochs are stored in chains of 16, and any of them can be read. A chain with a gap is corrupt.
 async fn a_chain_is_read_from_any_epoch(database: Database) {
     let store = database.store().await;
     let sessions = desk(&store).await;

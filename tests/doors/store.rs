@@ -52,8 +52,8 @@ fn time(second: u64) -> GpsTime {
     GpsTime::from_week_seconds(2051, second as f64)
 }
 
-/// The first epochs of a session, numbered by their second, without observations, answered by no
-/// position.
+/// The first epochs of a session. Their numbers are their seconds. They have no observations, and
+/// their answers have no position.
 fn batch(session: SessionKey, seqs: impl IntoIterator<Item = u64>) -> Batch {
     batch_after(None, session, seqs)
 }

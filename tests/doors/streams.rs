@@ -56,8 +56,8 @@ fn field(status: &Status) -> String {
     info.metadata.get("field").cloned().unwrap_or_default()
 }
 
-/// Where the memory of all requests is short, a stream reads on as its epochs are answered. It does
-/// not end, as the device would send everything again.
+/// If the memory of all requests is short, a stream waits and continues to read as its epochs are
+/// answered. It does not end, because the device would then send everything again.
 #[tokio::test]
 async fn a_stream_waits_where_memory_is_short() {
     let doors = Doors::with(Limits { request_memory_bytes: 512 << 10, ..Limits::standard() }).await;
@@ -69,8 +69,8 @@ async fn a_stream_waits_where_memory_is_short() {
     assert_eq!(flow.until_durable(250).await.len(), 250);
 }
 
-/// Epochs in many messages, in flight together: the answers are those of PushEpochs, and are
-/// stored. The stream ends when the device closes its side.
+/// The device sends many messages before it has answers. The answers are those of PushEpochs, and
+/// are stored. The stream ends when the device closes its side.
 #[tokio::test]
 async fn a_stream_answers_as_a_push_does() {
     let doors = Doors::open().await;
@@ -106,7 +106,7 @@ async fn a_stream_answers_as_a_push_does() {
     until("returned to the budget", budget, |used| *used == 0).await;
 }
 
-/// A refusal of an epoch does not end the stream, and is told whatever the answers are.
+/// The refusal of an epoch does not end the stream. It is reported in every form of answers.
 #[tokio::test]
 async fn answers_are_as_long_as_asked_for() {
     let doors = Doors::open().await;
@@ -135,7 +135,7 @@ async fn answers_are_as_long_as_asked_for() {
     }
 }
 
-/// After a break the service tells where to go on, and sends the answers that the device has
+/// After a break the service reports where to continue, and sends the answers that the device has
 /// missed, in pages.
 #[tokio::test]
 async fn a_stream_goes_on_where_another_ended() {
@@ -150,7 +150,7 @@ async fn a_stream_goes_on_where_another_ended() {
         v1::StreamOpening { last_acknowledged: Some(3), ..opening(&session, v1::Answers::Full) };
     let (mut flow, first) = opened(&doors, again).await;
     assert_eq!(first.durable_through, Some(70));
-    // Sent again, and new: each is answered, and stored once.
+    // Resent and new epochs: each is answered, and stored once.
     flow.push((69..=72).map(message).collect()).await;
     let results = flow.until_durable(72).await;
     let numbers: Vec<u64> = results.iter().map(|result| result.seq).collect();
@@ -163,7 +163,7 @@ async fn a_stream_goes_on_where_another_ended() {
     }
 }
 
-/// A message without epochs is answered, and keeps a silent stream open; without any, it ends.
+/// A message without epochs is answered and keeps a stream open. A stream without any message ends.
 #[tokio::test]
 async fn a_silent_stream_is_ended() {
     let doors = Doors::with(Limits { stream_idle_s: 1, ..Limits::standard() }).await;
@@ -177,7 +177,7 @@ async fn a_silent_stream_is_ended() {
     assert_eq!((status.code(), &*code(&status)), (Code::DeadlineExceeded, "STREAM_IDLE"));
 }
 
-/// What the first message may not be.
+/// Wrong first messages are refused with the wrong field.
 #[tokio::test]
 async fn a_wrong_opening_is_refused_with_its_field() {
     let doors = Doors::open().await;
@@ -255,7 +255,7 @@ async fn a_wrong_message_ends_the_stream_after_the_answers_before_it() {
     }
 }
 
-/// A device that keeps to its credit may send without end.
+/// A device that respects its credit may send without end.
 #[tokio::test]
 async fn credit_rises_with_the_answers() {
     let doors = Doors::with(Limits { stream_epochs: 4, ..Limits::standard() }).await;
@@ -300,8 +300,8 @@ async fn packed_messages_are_refused() {
     assert_eq!(code(&status), "UNSUPPORTED_MEDIA_TYPE");
 }
 
-/// The stream announces the end, still takes and answers what is sent, and ends so that the device
-/// opens another after a random delay.
+/// A draining service announces the end of the stream, still answers epochs that are sent, and ends
+/// the stream. The status tells the device to open another one after a random delay.
 #[tokio::test]
 async fn a_service_that_stops_ends_its_streams() {
     let doors = Doors::open().await;
@@ -321,7 +321,7 @@ async fn a_service_that_stops_ends_its_streams() {
     assert_eq!(code(&status), "DRAINING");
 }
 
-/// A device that closes its side when it hears of the end gets its answers and no refusal.
+/// A device that closes its side after this announcement gets its answers and no refusal.
 #[tokio::test]
 async fn a_device_that_closes_its_side_is_not_refused() {
     let doors = Doors::open().await;
@@ -346,8 +346,8 @@ fn chunks(bytes: &[u8], from: usize) -> impl Iterator<Item = v1::StreamRawReques
     })
 }
 
-/// The bytes of a receiver by a stream: broken after some chunks, resumed where the service says,
-/// with the answers of PushRaw.
+/// A stream of a receiver's bytes breaks after some chunks, and resumes at the offset that the
+/// service reports. The answers are those of PushRaw.
 #[tokio::test]
 async fn raw_bytes_go_on_where_a_stream_ended() {
     let Some((mut log, _)) = logs() else { return };

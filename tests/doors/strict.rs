@@ -1,4 +1,4 @@
-//! What does not fit a call is refused, and the refusal names it.
+//! Fields and parameters that a call does not have are refused, and the refusal names them.
 
 use std::io::Write;
 
@@ -23,7 +23,7 @@ async fn job_with(doors: &Doors, options: &str) -> (StatusCode, Value) {
     jobs::post(doors, body(&[("options", options.as_bytes())]), &[]).await
 }
 
-/// A reset needs no body. What it is given is checked as the body of every other call.
+/// A reset needs no body. If it has one, the body is checked as that of every other call.
 #[tokio::test]
 async fn a_reset_takes_its_own_message_or_nothing() {
     let doors = Doors::open().await;
@@ -56,7 +56,7 @@ async fn a_reset_takes_its_own_message_or_nothing() {
     }
 }
 
-/// What Rust reads as a number and is none does not pass as the beginning of a week.
+/// Texts that Rust reads as `f64` are no time in a query if they are not finite or too large.
 #[tokio::test]
 async fn a_time_in_a_query_is_finite() {
     let doors = Doors::open().await;
@@ -77,7 +77,7 @@ async fn a_time_in_a_query_is_finite() {
     }
 }
 
-/// A list is not a message whose fields have no names, at whatever depth.
+/// A JSON list is not accepted in place of a message, at any depth.
 #[tokio::test]
 async fn a_message_is_an_object() {
     let doors = Doors::open().await;
@@ -196,7 +196,7 @@ async fn a_call_without_parameters_takes_none() {
         assert_eq!(status, StatusCode::BAD_REQUEST, "{method} {path}");
         assert_eq!(at_fault(&refusal), ("UNKNOWN_FIELD", "foo"), "{method} {path}: {refusal}");
     }
-    // Parameters of calls, empty queries, and pages, which have no schema.
+    // Accepted: parameters of calls, empty queries, and queries of pages, which have no schema.
     for path in [
         format!("{session}?"),
         format!("{session}/track.csv?status=NONE"),
@@ -213,7 +213,7 @@ async fn a_call_without_parameters_takes_none() {
     assert_eq!(doors.get("/v1/sessions").await.1["sessions"].as_array().unwrap().len(), 1);
 }
 
-/// A body that is packed in another way, or not as its head says, is refused as any other.
+/// A body is refused if its encoding is unknown, or if it is not encoded as its header states.
 #[tokio::test]
 async fn an_encoding_that_is_unknown_or_untrue_is_named() {
     let doors = Doors::open().await;

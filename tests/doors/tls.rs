@@ -82,7 +82,8 @@ async fn both_doors_are_behind_tls() {
     assert_eq!(body["durableThrough"], 20, "{body}");
     assert!(meter(port, &authority, "graphfix_tls_certificate_expiry_seconds").await > 3.7e9);
 
-    // Browsers remember TLS for a name of the service; other services share addresses.
+    // Browsers remember TLS for a host name of the service only: other services may use the same
+    // address.
     for (host, remembers) in [(NAME, true), ("localhost", false), ("127.0.0.1", false)] {
         let answer = page(port, &by_rest, host, "/healthz").await;
         let remembered = answer.contains("strict-transport-security: max-age=31536000\r\n");
@@ -96,7 +97,7 @@ async fn both_doors_are_behind_tls() {
     assert!(cookie.ends_with("; Secure"), "{cookie}");
 }
 
-/// `graphfix load`, `stream` and `health` know a service by its authority.
+/// `graphfix load`, `stream` and `health` verify a service by its certificate authority.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_refuse_a_service_of_another_authority() {
     let (authority, other) = (Authority::new("ours"), Authority::new("theirs"));
@@ -130,7 +131,7 @@ async fn clients_refuse_a_service_of_another_authority() {
     assert_eq!(code, "TLS_FILE_INVALID", "{line}");
 }
 
-/// With an authority for clients nobody is served without its certificate, whatever the key.
+/// With an authority for clients, a client needs a certificate of this authority, whatever its key.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn clients_prove_who_they_are() {
     let (authority, clients) = (Authority::new("ours"), Authority::new("devices"));
@@ -177,12 +178,13 @@ async fn is_served(port: u16, authority: &Authority, own: &Pair) -> bool {
         return false;
     };
     let ask = b"GET /readyz HTTP/1.1\r\nhost: localhost\r\nconnection: close\r\n\r\n";
-    // Of TLS 1.3 a client learns after its handshake that its certificate is refused.
+    // In TLS 1.3 a client learns only after its handshake that its certificate is refused.
     stream.write_all(ask).await.is_ok()
         && last_words(&mut stream).await.starts_with("HTTP/1.1 200 OK")
 }
 
-/// A lost device is refused by the list of its authority; a new list needs no restart.
+/// A device whose certificate is on the authority's revocation list is refused. A new list needs no
+/// restart.
 #[tokio::test]
 async fn revoked_clients_are_refused() {
     let (authority, clients) = (Authority::new("ours"), Authority::new("devices"));
@@ -206,7 +208,7 @@ async fn revoked_clients_are_refused() {
     let end = meters.lines().find(|line| line.contains("revocation_list_expiry_seconds{"));
     assert!(end.is_some_and(|line| line.ends_with(" 3502915200")), "{end:?}");
 
-    // What is not the list of this authority changes nothing, or excludes its clients.
+    // A file that is no list changes nothing. A list of another authority excludes all clients.
     files.write("revoked.pem", "hello\n");
     stays("the last list", Duration::from_secs(5), others, |served| *served == (true, false)).await;
     files.write("revoked.pem", &authority.revoked(&[], 2080));
@@ -215,7 +217,7 @@ async fn revoked_clients_are_refused() {
     until("nobody is revoked", others, |served| *served == (true, true)).await;
 }
 
-/// New connections see the renewed certificate; a stream that is open goes on.
+/// New connections get the renewed certificate; an open stream continues.
 #[tokio::test]
 async fn a_renewal_needs_no_restart() {
     let authority = Authority::new("ours");
@@ -238,7 +240,7 @@ async fn a_renewal_needs_no_restart() {
     assert!(meter(port, &authority, "graphfix_tls_certificate_expiry_seconds").await > 3.5e9);
     assert_eq!(meter(port, &authority, "graphfix_tls_renewal_failed").await, 0.0);
 
-    // What cannot be used changes nothing, until it can.
+    // Files that cannot be used change nothing, until valid ones replace them.
     let broken = [
         ("service.pem", "no certificate".to_owned()),
         ("service.pem", authority.signed_for(2020, 2021).certificate),
@@ -316,7 +318,7 @@ fn a_wrong_certificate_is_refused_at_the_start() {
     assert!(line.contains("tls.key_file"), "{line}");
 }
 
-/// Beyond loopback a key is needed, and TLS, or the word that something else has it.
+/// Beyond loopback a service needs a key, and TLS or the option that a proxy has TLS.
 #[test]
 fn others_are_served_encrypted_only() {
     let authority = Authority::new("ours");
@@ -346,7 +348,7 @@ fn others_are_served_encrypted_only() {
     }
 }
 
-/// Who speaks HTTP to the port is told what to do.
+/// An HTTP request without TLS gets an answer with the remedy.
 #[tokio::test]
 async fn a_plain_request_is_answered() {
     let authority = Authority::new("ours");
@@ -362,14 +364,14 @@ async fn a_plain_request_is_answered() {
     let problem: Value = serde_json::from_str(body).unwrap();
     assert_eq!(problem["code"], "TLS_REQUIRED");
     assert_eq!(problem["remedy"], "begin the address with https://");
-    // gRPC without TLS: the reason stands in the frame that ends the connection.
+    // gRPC without TLS: the reason is in the frame that ends the connection.
     let mut stream = TcpStream::connect(("127.0.0.1", port)).await.unwrap();
     stream.write_all(b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n").await.unwrap();
     assert!(last_words(&mut stream).await.contains("TLS_REQUIRED: this port takes TLS only"));
     assert!(meter(port, &authority, "graphfix_tls_handshakes_failed_total").await >= 2.0);
 }
 
-/// Whoever asks `graphfix health` about a service that is about to stop hears so.
+/// `graphfix health` reports that a service is about to stop.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn health_says_why_a_service_is_not_ready() {
     let authority = Authority::new("ours");

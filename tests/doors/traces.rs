@@ -1,5 +1,5 @@
-//! Traces for OpenTelemetry: what a collector of others receives, and that one which is gone or
-//! silent harms nothing.
+//! Traces for OpenTelemetry: the spans that an independent collector receives. A collector that is
+//! gone or silent harms nothing.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -51,7 +51,7 @@ impl Collector {
         Some(Self { child, port, spans })
     }
 
-    /// The spans of a trace with this name, once there are as many as asked for.
+    /// The spans of a trace with this name, once there are `count` of them.
     async fn named(&self, name: &str, count: usize) -> Vec<Value> {
         let found = async || {
             let spans = self.spans.lock().unwrap();
@@ -138,7 +138,7 @@ async fn a_collector_receives_the_parts_of_a_request() {
     let refused = requests.iter().find(|request| request["trace"] != TRACE).unwrap();
     assert_eq!((&refused["parent"], &refused["status"]), (&json!(""), &json!("STATUS_CODE_UNSET")));
     assert_eq!(refused["attributes"]["http.response.status_code"], "400");
-    // Everything that waits is sent before the service ends.
+    // All waiting spans are sent before the service ends.
     session(&doors).await;
     let before = collector.named("Sessions/Create", 1).await.len();
     doors.close().await;

@@ -132,7 +132,7 @@ async fn a_track_is_chosen_as_a_list_is() {
     }
 }
 
-/// A list with a format is the file of that format; one without, or in JSON, is a page.
+/// A list with a format is the file of that format. Without a format, or with JSON, it is a page.
 #[tokio::test]
 async fn a_list_is_a_file_in_each_format() {
     let doors = Doors::open().await;
@@ -185,7 +185,7 @@ async fn what_is_no_track_is_refused() {
     assert!(refused.message().contains("pos, csv, geojson, kml, gpx, nmea"), "{refused}");
 }
 
-/// Parquet is given where the program is built with it, and refused by name elsewhere.
+/// A program that is built with Parquet gives it. Others refuse it with the wrong field.
 #[tokio::test]
 async fn parquet_is_a_feature_of_the_build() {
     let doors = Doors::open().await;

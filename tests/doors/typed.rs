@@ -12,10 +12,10 @@ use crate::support::jobs::MINUTE;
 
 use super::jobs::{created, ended};
 
-/// A time as the text beside it says.
+/// A time in the form of the text field beside it.
 fn text(time: Option<Timestamp>) -> String {
     let text = time.unwrap().to_string();
-    // With milliseconds, which protobuf leaves out if there are none.
+    // The text always has milliseconds; protobuf omits them if they are zero.
     if text.contains('.') { text } else { text.replace('Z', ".000Z") }
 }
 
@@ -61,7 +61,7 @@ async fn states_and_times_have_types_on_grpc() {
     doors.close().await;
 }
 
-/// No state is given out as unspecified because the schema lacks it: those of `proto/`.
+/// Every state has a value in `proto/`, so none becomes `UNSPECIFIED`.
 #[test]
 fn every_state_has_a_value() {
     for state in ["QUEUED", "RUNNING", "SUCCEEDED", "FAILED", "CANCELLED"] {

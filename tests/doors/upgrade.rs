@@ -114,7 +114,8 @@ fn former_solution(solution: &Solution) -> Vec<u8> {
     .concat()
 }
 
-/// The answers of today to the epochs, and the options in force but those that are newer.
+/// The answers of the present version to the epochs, and its options without those that are newer
+/// than the schema.
 async fn answers() -> (Vec<StoredSolution>, String) {
     let database = Database::sqlite();
     let sessions = desk(&database.store().await).await;
@@ -213,7 +214,7 @@ async fn a_populated_database_of_the_eighth_schema_is_upgraded(database: Databas
     assert!(resent.iter().all(|outcome| outcome.result.as_ref().unwrap().resent));
     let other = sessions.submit(&open, vec![epoch(3, 3.5)]).await.unwrap().outcomes.remove(0);
     assert_eq!(other.result.unwrap_err().code().name(), "SEQUENCE_CONFLICT");
-    // The snapshot of that time cannot be read: the state is rebuilt from the stored epochs.
+    // The snapshot of the earlier layout cannot be read: the state is rebuilt from stored epochs.
     let next = sessions.submit(&open, epochs(EPOCHS + 1..=2 * EPOCHS)).await.unwrap();
     assert_eq!(next.durable_through, Some(2 * EPOCHS));
     check(&store, &open, 2 * EPOCHS as usize).await;

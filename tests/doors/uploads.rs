@@ -1,4 +1,4 @@
-//! `/v1/uploads`: files of jobs that go on after a break, by the protocol tus.
+//! `/v1/uploads`: uploads of job files that continue after a break, by the protocol tus.
 
 use std::process::Command;
 
@@ -74,8 +74,8 @@ async fn offset(doors: &Doors, path: &str) -> usize {
     headers["upload-offset"].to_str().unwrap().parse().unwrap()
 }
 
-/// A break, a restart of the service, and another file of the same content: the job has the bytes
-/// of `graphfix solve`.
+/// An upload continues after a break and a restart of the service. A second upload has the same
+/// content. The job gives the bytes of `graphfix solve`.
 async fn an_upload_goes_on_after_a_break(database: Database) {
     let doors = Doors::on(&database.url).await;
     let content = &MINUTE.rover;
@@ -110,7 +110,7 @@ async fn an_upload_goes_on_after_a_break(database: Database) {
     let input = inputs.iter().find(|input| input["part"] == "rover").unwrap();
     assert_eq!((&input["name"], &input["hash"]), (&json!("rover.obs"), &upload["hash"]));
     let job = created["job"].as_str().unwrap();
-    // It is the job's now.
+    // The file belongs to the job now, so the upload can be deleted.
     let (status, _, _) = tus(&doors, "DELETE", &path, &[], Body::empty()).await;
     assert_eq!(status, StatusCode::NO_CONTENT);
     let (status, _, problem) = tus(&doors, "GET", &path, &[], Body::empty()).await;
@@ -158,7 +158,7 @@ async fn what_does_not_go_on_is_refused() {
         let (answered, _, problem) = tus(&doors, method, at, headers, Body::from(content)).await;
         assert_eq!((answered.as_u16(), code(&problem)), (status, expected), "{method} {headers:?}");
     }
-    // Nothing of what is refused is stored.
+    // No byte of a refused request is stored.
     assert_eq!(offset(&doors, &path).await, 0);
     let pieces = stream::iter(["1234567", "8901"].map(Ok::<_, std::io::Error>));
     let (status, _, problem) = appended(&doors, &path, 0, Body::from_stream(pieces)).await;
@@ -202,7 +202,7 @@ async fn one_request_appends_at_a_time() {
     );
 }
 
-/// What has expired is not found, and its file is removed.
+/// An expired upload is not found, and its file is removed.
 #[tokio::test]
 async fn an_upload_expires() {
     let database = Database::sqlite();
@@ -219,7 +219,7 @@ async fn an_upload_expires() {
     doors.close().await;
 }
 
-/// tuspy, which others wrote, uploads in chunks, stops, and goes on.
+/// The independent client tuspy uploads in chunks, stops, and continues.
 #[tokio::test]
 async fn a_client_of_others_uploads_and_goes_on() {
     let Some(python) = python::with("tusclient") else { return };

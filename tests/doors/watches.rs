@@ -68,8 +68,8 @@ async fn listed(doors: &Doors, session: &str) -> Vec<v1::Solution> {
     calls::solutions::list(&doors.caller(), list).await.unwrap().solutions
 }
 
-/// Watched live, broken and resumed by the cursor over a restart of the service, until the session
-/// is closed: every answer and revision once.
+/// A watch breaks and resumes by its cursor, also over a restart of the service, until the session
+/// is closed. It gets every answer and revision once.
 #[tokio::test]
 async fn a_watch_goes_on_behind_its_cursor() {
     let mut doors = Doors::open().await;
@@ -105,7 +105,7 @@ async fn a_watch_goes_on_behind_its_cursor() {
     assert_eq!(in_order, stored);
 }
 
-/// Without a cursor a watch begins at the present; it may leave out later revisions.
+/// Without a cursor a watch begins at the present. A watch may ask for no revisions.
 #[tokio::test]
 async fn a_watch_begins_at_the_present() {
     let doors = Doors::open().await;
@@ -116,7 +116,7 @@ async fn a_watch_begins_at_the_present() {
     let mut watch = watched(&doors, begin).await.unwrap();
     let opened = message(&mut watch).await.unwrap().unwrap();
     assert!(opened.solutions.is_empty() && opened.cursor == "3.0", "{opened:?}");
-    push(&doors, &session, 3..=5).await; // The first one again.
+    push(&doors, &session, 3..=5).await; // Epoch 3 is resent.
     let (solutions, cursor) = taken(&mut watch, 2).await;
     let numbers: Vec<u64> = solutions.iter().map(|solution| solution.seq).collect();
     assert_eq!((numbers, &*cursor), (vec![4, 5], "5.0"));
@@ -130,7 +130,8 @@ async fn a_watch_begins_at_the_present() {
     assert_eq!(code_of(&status).as_deref(), Some("DRAINING"));
 }
 
-/// A watch that reads what it has missed ends in a drain too, before it has read all.
+/// A watch that still reads earlier solutions also ends when the service drains, before it has read
+/// all.
 #[tokio::test]
 async fn a_watch_of_the_past_ends_in_a_drain() {
     let doors = Doors::open().await;
@@ -178,7 +179,8 @@ async fn a_wrong_watch_is_refused() {
     assert_eq!(code_of(&status).as_deref(), Some("TOO_MANY_WATCHES"));
 }
 
-/// A reader that takes nothing is shed: others get everything, and it is told how to go on.
+/// The watch of a reader that takes nothing is ended, with the cursor to continue. Others get
+/// everything.
 #[tokio::test]
 async fn a_slow_reader_is_shed() {
     let limits = Limits { body_silence_s: 1, live_solutions: 8, ..Limits::standard() };
@@ -215,7 +217,7 @@ async fn a_slow_reader_is_shed() {
     until("returned to the budget", budget, |used| *used == 0).await;
 }
 
-/// Server-sent events: each has its solutions and an id, with which a browser goes on.
+/// Each server-sent event has its solutions and an id, with which a browser continues.
 #[tokio::test]
 async fn browsers_watch_by_events() {
     let doors = Doors::open().await;

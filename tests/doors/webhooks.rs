@@ -1,4 +1,5 @@
-//! Webhooks of batch jobs: each is told of the end of its job, signed, until its host has taken it.
+//! Webhooks of batch jobs: a signed message reports the end of a job, and is repeated until the
+//! host accepts it.
 
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -90,7 +91,7 @@ fn quick() -> JobsConfiguration {
     JobsConfiguration { webhook_delay_s: 1, ..JobsConfiguration::standard() }
 }
 
-/// The attempts once nothing follows them.
+/// The attempts, once no further one follows.
 async fn told(doors: &Doors, job: &str) -> Value {
     let path = format!("/v1/jobs/{job}/deliveries");
     doors.until(&path, |told| told["state"] != "WAITING").await
@@ -135,7 +136,7 @@ async fn a_webhook_is_told_until_it_answers(database: Database) {
     let data = json!({"job": job, "state": "SUCCEEDED", "failure": null, "links": links});
     let expected = json!({"type": "job.ended", "timestamp": shown["endedUtc"], "data": data});
     assert_eq!(serde_json::from_str::<Value>(&messages[0].1).unwrap(), expected);
-    // Nothing shows the secret.
+    // No answer contains the secret.
     assert_eq!(shown["webhookState"], "DELIVERED");
     assert!(!shown.to_string().contains("whsec_"), "{shown}");
 
@@ -196,7 +197,7 @@ async fn a_message_that_no_host_takes_is_given_up() {
     assert_eq!(body["data"]["failure"], "FILE_NOT_UNDERSTOOD", "{body}");
 }
 
-/// What is due is in the store: a service that starts again goes on.
+/// Due messages are in the store, so a service that starts again continues the attempts.
 #[tokio::test]
 async fn a_restart_goes_on_with_the_attempts() {
     let doors = Doors::with_jobs(quick()).await;
@@ -207,7 +208,7 @@ async fn a_restart_goes_on_with_the_attempts() {
     let path = format!("/v1/jobs/{job}/deliveries");
     let (_, early) = doors.get(&path).await;
     assert_eq!((&early["state"], &early["nextUtc"]), (&json!("WAITING"), &json!("")), "{early}");
-    // The end by a user is told, too.
+    // A cancellation by a user is also reported.
     doors.send("DELETE", &format!("/v1/jobs/{job}"), json!({})).await;
     let has_tried = |told: &Value| {
         told["deliveries"].as_array().is_some_and(|attempts| !attempts.is_empty())
@@ -329,7 +330,8 @@ async fn each_attempt_is_made_once(database: Database) {
     assert!(a.is_some() != b.is_some(), "an attempt is made twice");
     let first = a.or(b).unwrap();
     assert_eq!((first.job.id.as_str(), first.attempt, &*first.secret), ("waiting", 1, "secret"));
-    // Nobody ends it: the next one begins later. What the first then says changes nothing.
+    // The first attempt is not ended, so the next one begins later. A late end of the first then
+    // changes nothing.
     assert!(begin(1699).await.is_none());
     let second = begin(1700).await.unwrap();
     assert_eq!(second.attempt, 2);
@@ -355,7 +357,7 @@ async fn each_attempt_is_made_once(database: Database) {
     let row = store.job(&tenant, "waiting").await.unwrap().unwrap();
     assert_eq!(row.webhook_state, Some(WebhookState::Failed));
     assert_eq!(store.deliveries(row.key).await.unwrap(), (vec![late, refused], None));
-    // With the job its attempts are removed.
+    // The attempts are removed with the job.
     assert_eq!(store.delete_jobs(1101).await.unwrap(), 2);
     assert_eq!(store.deliveries(row.key).await.unwrap(), (Vec::new(), None));
     store.close().await;

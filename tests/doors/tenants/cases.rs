@@ -17,7 +17,7 @@ use crate::support::doors::epoch;
 use crate::support::drive::DRIVE;
 use crate::support::jobs::{BOUNDARY, MINUTE, body};
 
-/// Ids of things, of another tenant or of nobody.
+/// Ids of objects that another tenant has, or that do not exist.
 #[derive(Clone, Debug)]
 pub(in crate::doors) struct Things {
     pub(super) session: String,
@@ -31,7 +31,7 @@ pub(in crate::doors) struct Things {
 }
 
 impl Things {
-    /// A text with these ids replaced by what they are the ids of.
+    /// A text in which each of these ids is replaced by the kind of its object.
     pub(super) fn hidden(&self, text: &str) -> String {
         let Self { session, base, job, upload, key, tenant, .. } = self;
         let ids = [
@@ -46,15 +46,16 @@ impl Things {
     }
 }
 
-/// What a call has to do with tenants.
+/// How a call could reach data of tenants.
 pub(super) enum Case {
     /// Its answer is the same for everybody: nothing in it is stored.
     Open,
-    /// The requests that name such things, or that could show them.
+    /// The requests that name such objects, or that could show them.
     Requests(Vec<Request<Body>>),
 }
 
-/// A request of a gRPC method, of this service's package or with its own, with these messages.
+/// A request of a gRPC method with these messages. The method is of this service's package, unless
+/// its name has another one.
 fn grpc(method: &str, messages: &[Vec<u8>]) -> Request<Body> {
     let mut content = Vec::new();
     for message in messages {
@@ -88,7 +89,8 @@ fn octets(path: &str, content: &[u8]) -> Request<Body> {
     request.body(Body::from(content.to_vec())).unwrap()
 }
 
-/// The same JSON by gRPC, and by REST without what its path has.
+/// The same request by gRPC with `$json`, and by REST with `$body`, which lacks the fields of the
+/// path.
 macro_rules! both {
     ($call:expr, $message:ty, $path:expr, $json:expr, $body:expr) => {{
         let method = $call.rest.split(' ').next().unwrap();
@@ -96,7 +98,7 @@ macro_rules! both {
     }};
 }
 
-/// The requests of a call that names these things.
+/// The requests of a call that name these objects.
 ///
 /// # Panics
 /// The call has no case: say here how it could reach what belongs to another tenant.
@@ -221,7 +223,7 @@ fn positioning(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
         "Positioning/SolveOnce" => {
             let solve = json!({"mode": "rtk-fgo", "base": base, "epochs": [epoch(1)]});
             let mut requests = both!(call, v1::SolveOnceRequest, "/v1/solve", solve.clone(), solve);
-            // It must not take another tenant's base as the nearest either.
+            // The nearest base must not be that of another tenant.
             let solve = json!({"mode": "rtk-fgo", "base": "nearest", "epochs": [epoch(1)]});
             requests.extend(both!(call, v1::SolveOnceRequest, "/v1/solve", solve.clone(), solve));
             requests
@@ -266,7 +268,7 @@ fn solutions(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
 
 fn history(call: &Call, of: &Things) -> Option<Vec<Request<Body>>> {
     let none = Value::Null;
-    // The week of the epochs.
+    // The epochs are in this week.
     let at = |second: u64| json!({"week": 2051, "nsOfWeek": second * 1_000_000_000});
     let (from, to, query) = (at(0), at(604_799), "from=2051:0&to=2051:604799");
     Some(match call.grpc {
@@ -482,7 +484,7 @@ fn navigation(call: &Call) -> Option<Vec<Request<Body>>> {
     })
 }
 
-/// Navigation data that agree with none of another tenant.
+/// Navigation data that agree with no data of another tenant.
 fn other_broadcast() -> Vec<u8> {
     let mut other = Navigation::default();
     for ephemeris in DRIVE.navigation.satellites().flat_map(|(_, list)| list) {

@@ -1,4 +1,4 @@
-//! Tenants by both doors: no call of one reads, changes or learns of anything of another's.
+//! Tenants by both doors: no call of one tenant reads, changes or reveals data of another.
 
 mod cases;
 mod mutated;
@@ -45,8 +45,8 @@ async fn no_call_reaches_what_belongs_to_another_tenant(database: Database) {
     let before = seen(&doors, &other, &owned).await;
     for call in CALLS {
         check(&doors, &intruder, call, &owned).await;
-        // The operator manages keys and tenants, reads the audit log of all, and its bases and
-        // navigation data serve all. It has no other way to what belongs to a tenant.
+        // The operator manages keys and tenants, and reads the audit log of all. Its bases and
+        // navigation data serve all. It reaches no other data of a tenant.
         let is_for_all = call.grpc.starts_with("Keys/")
             || call.grpc.starts_with("Tenants/")
             || call.grpc.starts_with("Audit/")
@@ -104,7 +104,7 @@ async fn check(
 /// An answer without the ids that the request has named.
 fn hidden(of: &Things, answer: Answer) -> Answer {
     let is_refused = answer.refusal.is_some();
-    // What is served must not have the ids at all; a refusal repeats them.
+    // A served answer must not contain the ids at all; a refusal repeats those of the request.
     let text = if is_refused { of.hidden(&answer.text) } else { answer.text };
     let refusal = answer.refusal.map(|(code, details)| {
         let hidden = details.into_iter().map(|(key, value)| (key, of.hidden(&value)));
@@ -113,7 +113,8 @@ fn hidden(of: &Things, answer: Answer) -> Answer {
     Answer { text, refusal, ..answer }
 }
 
-/// The rows of the store name the tenant, and so do sessions that were parked or replayed.
+/// The tenant is known from the rows of the store after a restart, also for parked and replayed
+/// sessions.
 async fn a_tenant_keeps_what_it_has_over_a_restart(database: Database) {
     let doors = Doors::on(&database.url).await;
     let operator = operator(&doors).await;
@@ -121,7 +122,8 @@ async fn a_tenant_keeps_what_it_has_over_a_restart(database: Database) {
     let (one, other) = (one.await, other.await);
     let mut owned = Vec::new();
     for key in [&one, &other] {
-        // The same name of a request is another job, and none is told of it.
+        // A second tenant uses the same request name. It gets a job of its own, and no hint of the
+        // other tenant's.
         owned.push(furnished(&doors, key, "").await);
         let again = sent(&doors, key, posted_job("nightly")).await;
         assert_eq!(again.status, StatusCode::OK, "{}", again.text);
@@ -171,7 +173,7 @@ async fn navigation_serves_its_tenant_until_another_agrees(database: Database) {
     assert_eq!(answer.status, StatusCode::OK, "{}", answer.text);
     let all = ephemerides(&doors, &a).await;
     assert!(8 < all, "{all} ephemerides");
-    // The same again is no second source.
+    // A second upload of the same tenant is no second source.
     uploaded(&doors, &a, "/v1/navigation", &MINUTE.navigation).await;
     for key in [&b, &operator] {
         assert_eq!(ephemerides(&doors, key).await, 0);

@@ -22,7 +22,8 @@ const ROUNDS: usize = 10_000;
 async fn damaged(request: Request<Body>, random: &mut Random) -> Request<Body> {
     let (parts, body) = request.into_parts();
     let mut bytes = to_bytes(body, usize::MAX).await.unwrap().to_vec();
-    // Behind the five bytes of a message of gRPC, so that most of them are read.
+    // The damage is after the five-byte prefix of a gRPC message, so that most messages are
+    // decoded.
     let is_grpc = parts.headers.get("content-type").is_some_and(|kind| kind == "application/grpc");
     if is_grpc && 5 < bytes.len() && random.below(4) != 0 {
         let mut message = bytes.split_off(5);
@@ -100,7 +101,7 @@ pub(super) async fn ten_thousand_mutated_calls_learn_and_change_nothing(database
         }
         *codes.entry(code.unwrap_or_default()).or_default() += 1;
     }
-    // Refused for the key, for what is not there, and for what was damaged.
+    // Refusals because of the key, because of an unknown object, and because of the damage.
     for code in ["KEY_INVALID", "KEY_EXPIRED", "KEY_REVOKED", "SESSION_NOT_FOUND", "MALFORMED_BODY"]
     {
         assert!(100 < codes[code], "{code}: {codes:?}");

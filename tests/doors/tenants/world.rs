@@ -1,4 +1,4 @@
-//! A service with tenants, and what one of them has.
+//! A service with tenants, and the objects that one of them has.
 
 use std::collections::BTreeMap;
 
@@ -21,7 +21,7 @@ use crate::support::wait::until;
 
 use super::cases::{Things, posted_job};
 
-/// In every text that the tenant gives, and in no other.
+/// A mark in every text of the tenant, and in no other text.
 pub(in crate::doors) const MARK: &str = "mark-of-the-other-tenant";
 /// The name of the requests of the tenant's session, base and job.
 const REQUEST: &str = "nightly";
@@ -33,7 +33,7 @@ pub(in crate::doors) struct Key {
     pub(in crate::doors) secret: String,
 }
 
-/// The answer to a request, as far as it does not change by itself.
+/// The answer to a request, without the parts that change with time.
 #[derive(Clone, Debug, PartialEq)]
 pub(in crate::doors) struct Answer {
     pub(in crate::doors) status: StatusCode,
@@ -64,7 +64,7 @@ pub(in crate::doors) async fn sent(doors: &Doors, key: &Key, mut request: Reques
     Answer { status: parts.status, refusal, text }
 }
 
-/// The content of an answer and its trailers; of a watch of heads, which has no end, through the
+/// The content of an answer and its trailers. A watch of heads has no end, and is read through its
 /// first message.
 async fn content(path: &str, mut body: Body) -> (String, HeaderMap) {
     let (mut bytes, mut trailers) = (Vec::new(), HeaderMap::new());
@@ -158,7 +158,7 @@ pub(in crate::doors) fn marker() -> Value {
     json!({"xM": -2_414_266.9, "yM": 5_386_768.9, "zM": 2_407_460.0})
 }
 
-/// Lets a tenant have something of everything.
+/// Creates one object of each kind for a tenant.
 pub(in crate::doors) async fn furnished(doors: &Doors, key: &Key, tenant: &str) -> Things {
     let uploaded = uploaded(doors, key, "/v1/navigation", &MINUTE.navigation).await;
     assert_eq!(uploaded.status, StatusCode::OK, "{}", uploaded.text);
@@ -189,7 +189,7 @@ pub(in crate::doors) async fn furnished(doors: &Doors, key: &Key, tenant: &str) 
     Things { session, base, job, upload, key: key.id.clone(), tenant, request }
 }
 
-/// Things that nobody has.
+/// Ids of objects that do not exist.
 pub(in crate::doors) fn absent() -> Things {
     Things {
         session: SessionId::random().to_string(),
@@ -202,7 +202,7 @@ pub(in crate::doors) fn absent() -> Things {
     }
 }
 
-/// Everything that a tenant sees of what it has, without what changes with time.
+/// All that a tenant can read of its own objects, without values that change with time.
 pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec<(String, Value)> {
     let Things { session, base, job, upload, .. } = of;
     let (session, job) = (format!("/v1/sessions/{session}"), format!("/v1/jobs/{job}"));
@@ -238,7 +238,7 @@ pub(in crate::doors) async fn seen(doors: &Doors, key: &Key, of: &Things) -> Vec
     seen
 }
 
-/// Removes what changes with time.
+/// Removes values that change with time.
 fn settle(value: &mut Value) {
     match value {
         Value::Object(fields) => {
