@@ -1,9 +1,10 @@
 //! Cost of the factor graph: `cargo bench --bench fgo`.
 //!
-//! One causal update, from observations to solution, of a warm window of 30 epochs on an urban
-//! drive; the same in the first and in the tenth hour of a simulated one; the batch. The time of an
-//! epoch is its minimum over several passes, which excludes other load of the machine. Asserted: a
-//! warm window allocates nothing but its answer and the epoch it adds.
+//! Measures one causal update, from observations to solution, of a warm window of 30 epochs on an
+//! urban drive; the same in the first and in the tenth hour of a simulated drive; and the batch.
+//! The time of an epoch is its minimum over several passes, which excludes other load of the
+//! machine. Asserts that a warm window allocates only its answer, the epoch that it adds, and what
+//! the receiver model learns.
 //!
 //! The drive is `tst-2019` of the data folder (`GRAPHFIX_DATA`, else `../shared/data`); without it
 //! only the simulated drives are measured.
@@ -27,7 +28,7 @@ const WARM: usize = 200;
 const PASSES: usize = 15;
 /// Number of lists of an epoch in the window, including their shared owner.
 const EPOCH_LISTS: u64 = 9;
-/// Most lists of what the receiver model learns from an epoch, where no hypotheses are compared.
+/// Most lists that the receiver model allocates for an epoch without a comparison of hypotheses.
 const LEARNT_LISTS: u64 = 20;
 /// The same with the comparison of hypotheses, which is due every two seconds.
 const COMPARED_LISTS: u64 = 85;
@@ -154,7 +155,7 @@ fn assert_few_allocations(drive: &Drive, settings: &[(&str, &str)], [usual, most
         }
     }
     lists.sort_unstable();
-    // Hypotheses are compared in every second epoch; these make the most lists.
+    // Hypotheses are compared in every second epoch. These epochs allocate the most lists.
     let without = lists[2 * lists.len() / 5];
     assert!(without <= EPOCH_LISTS + usual, "{without} lists in two of five epochs");
     assert!(kept < KEPT_MAX, "{kept} bytes");

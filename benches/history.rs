@@ -2,11 +2,11 @@
 //! Postgres server that `GRAPHFIX_BENCH_DATABASE` names, in a database of its own that is dropped
 //! at the end. Times are those of the desk, without messages and JSON.
 //!
-//! Devices work at an epoch a second for some minutes of each of 30 days, and one for a whole day.
-//! Their rows are written by SQL: copies of one simulated epoch with its solution, at other times.
-//! It is a small one, of GPS and one band, so that fifty million fit on a disk; of what is timed
-//! only the last query reads these rows. On Postgres they are in partitions of days, as the service
-//! would have made them.
+//! Devices send an epoch a second for some minutes of each of 30 days, and one device for a whole
+//! day. Their rows are written by SQL: copies of one simulated epoch with its solution, at other
+//! times. The epoch is small, of GPS and one band, so that fifty million fit on a disk. Only the
+//! last of the timed queries reads these rows. On Postgres they are in partitions of days, as the
+//! service makes them.
 //!
 //! `GRAPHFIX_BENCH_SESSIONS=10000 GRAPHFIX_BENCH_SOLUTIONS=5000000 cargo bench --bench history`
 
@@ -59,7 +59,7 @@ fn main() {
         let url = options.clone().database(&name).to_url_lossy().to_string();
         let mut connection = options.connect().await.expect("the server answers");
         execute(&mut connection, &format!("CREATE DATABASE {name}")).await;
-        // A panic does not keep the database.
+        // The database is dropped even after a panic.
         let slow = AssertUnwindSafe(measure(url)).catch_unwind().await;
         execute(&mut connection, &format!("DROP DATABASE {name} WITH (FORCE)")).await;
         slow.unwrap_or_else(|panic| resume_unwind(panic))
@@ -80,7 +80,7 @@ struct Fleet {
     end_s: i64,
 }
 
-/// Fills a database and measures. Returns the names of what is too slow.
+/// Fills a database and measures. Returns the names of the queries that are too slow.
 async fn measure(url: String) -> Vec<&'static str> {
     let devices = number("GRAPHFIX_BENCH_SESSIONS", 1_000);
     let solutions = number("GRAPHFIX_BENCH_SOLUTIONS", 300_000);
@@ -155,7 +155,7 @@ async fn created(store: &Store, devices: i64) -> Fleet {
 /// The statements that fill the database.
 ///
 /// Device `k` is at 45° + (k mod 100)/100° north and (k div 100)/100° east, on the sphere of the
-/// equator's radius: what a head lies off the ellipsoid by is no matter here.
+/// equator's radius. Its distance from the ellipsoid does not matter here.
 fn statements(url: &str, fleet: &Fleet, devices: i64, per_day: i64) -> Vec<String> {
     let is_sqlite = url.starts_with("sqlite");
     let begin_s = fleet.end_s - DAYS * DAY_S;
@@ -340,7 +340,7 @@ async fn queries(fleet: &Fleet, devices: usize) -> Vec<&'static str> {
     slow.extend(status.await);
     slow.extend(present.await);
     slow.extend(past.await);
-    // Without rollups, of the solutions themselves: for comparison, so without a limit.
+    // The same from the solutions, without rollups. This is for comparison and has no limit.
     timed("the same day from its solutions (series)", u128::MAX, || async {
         let query = SeriesQuery {
             from: day.from,

@@ -1,4 +1,4 @@
-//! What the check of a key costs each call.
+//! Cost of the check of a key in each call.
 //!
 //! `cargo bench --bench keys` prints the time of one check, with few keys in memory and with many.
 

@@ -1,8 +1,8 @@
 //! Time of one call of the integer resolver, decorrelation included.
 //!
-//! Covariances: differences of `n` + 1 precise measurements of three real parameters, with
-//! measurements 100 times coarser; `weak` cannot be fixed completely, `singular` has condition
-//! 10¹².
+//! Covariances are those of differences of `n` + 1 precise measurements of three real parameters,
+//! beside measurements that are 100 times coarser. `weak` cannot be fixed completely; `singular`
+//! has condition 10¹².
 
 use divan::Bencher;
 use graphfix::lambda::Options;

@@ -36,16 +36,16 @@ const CONCURRENT: usize = 64;
 const FILLING: u64 = 16;
 /// Most epochs of a session before the crash, if no other number is given.
 const EPOCHS_MAX: u64 = 256;
-/// The last of them, which come one by one as from live devices, so that states of all ages are
-/// lost in the crash, if no other number is given.
+/// Number of the last epochs, if no other is given. They come one by one as from live devices, so
+/// that states of all ages are lost in the crash.
 const LIVE: u64 = 8;
 /// Time between two ephemerides of the stream, if no other is given (ms).
 const STREAM_MS: u64 = 100;
-/// Time in which a desk has new connections after they were broken.
+/// Time within which a desk opens new connections after all were broken.
 const RECONNECTS_WITHIN: Duration = Duration::from_secs(6);
 /// Rounds of one epoch for each session.
 const ROUNDS: u64 = 3;
-/// Of the sessions, those that fit in memory: 4096 of 10,000, as by default.
+/// Fraction of the sessions that fit in memory: 4096 of 10,000, as by default.
 const FITTING: f64 = 0.4096;
 
 struct Drive {
@@ -61,7 +61,7 @@ fn number(name: &str, standard: u64) -> u64 {
     std::env::var(name).map_or(standard, |text| text.parse().expect("it is a number"))
 }
 
-/// Sixteen satellites or so, two signals each, an epoch a second.
+/// About sixteen satellites with two signals each, an epoch a second.
 fn drive() -> Drive {
     let epochs_max = number("GRAPHFIX_BENCH_EPOCHS", EPOCHS_MAX);
     let duration_s = (epochs_max + 64) as f64;
@@ -108,7 +108,7 @@ impl Drive {
     }
 }
 
-/// Brings an ephemeris now and then, for some days later. Returns never.
+/// Pushes an ephemeris at intervals, with times some days later. Never returns.
 async fn stream(aiding: &AidingDesk, drive: &Drive) {
     let pause = Duration::from_millis(number("GRAPHFIX_BENCH_STREAM_MS", STREAM_MS));
     let all: Vec<&Ephemeris> = drive.navigation.satellites().flat_map(|(_, list)| list).collect();
@@ -211,7 +211,7 @@ impl Place {
         );
         let copy = format!("CREATE DATABASE {CRASHED_DATABASE} TEMPLATE {LIVE_DATABASE}");
         self.execute(&[allow(false), end, copy, allow(true)]).await;
-        // The desk opens its connections again, which is not what is measured.
+        // The desk opens its connections again; this time is not measured.
         tokio::time::sleep(RECONNECTS_WITHIN).await;
     }
 

@@ -1,6 +1,6 @@
 //! Bytes on the disk while devices send an epoch a minute for a month of injected time, with a
-//! retention: they must stay flat. On SQLite in a temporary folder, or in the Postgres database of
-//! its own that `GRAPHFIX_BENCH_DATABASE` names.
+//! retention. The size must stay constant. The database is on SQLite in a temporary folder, or the
+//! Postgres database that `GRAPHFIX_BENCH_DATABASE` names, for this benchmark alone.
 //!
 //! `GRAPHFIX_BENCH_DEVICES=100 GRAPHFIX_BENCH_DAYS=30 cargo bench --bench retention`
 
@@ -18,8 +18,8 @@ use graphfix::session::{NewSession, SequencedEpoch, SessionId, SessionLimits, Se
 use graphfix::store::{BaseChoice, Store};
 use sqlx::{Connection, PgConnection};
 
-/// Retention (days). Up to three more are kept: up to a snapshot of the day before, and on Postgres
-/// up to whole days.
+/// Retention (days). Up to three more days are kept: back to a snapshot of the previous day, and on
+/// Postgres to the beginning of a day.
 const RETENTION: u32 = 7;
 const MARGIN: u64 = 4;
 const PER_DAY: u64 = 1_440;
@@ -30,7 +30,7 @@ const START: i64 = 1_767_268_800_000;
 /// A day before, in GPS time: week, and seconds of week. The epochs of a day end when they arrive.
 const FIRST: (i32, f64) = (2_399, 302_400.0);
 const CONCURRENT: usize = 16;
-/// Growth from the first full size on that counts as flat.
+/// Largest ratio of a size to the first full size that counts as constant.
 const GROWTH_MAX: f64 = 1.1;
 
 fn number(name: &str, standard: u64) -> u64 {

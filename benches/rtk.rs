@@ -1,9 +1,9 @@
 //! Cost and memory of `rtk-fgo`: `cargo bench --bench rtk`.
 //!
-//! A simulated rover under open sky, all constellations on two frequencies, base 8 km away, one
-//! epoch each 30 s for 24 h: the time of an epoch in the first and in the last hours, each the
-//! minimum of several passes, and the memory of the estimator of a session at rest that revises its
-//! answers.
+//! A rover is simulated under open sky, with all constellations on two frequencies, a base 8 km
+//! away and an epoch each 30 s for 24 h. Measures the time of an epoch in the first and in the last
+//! hours, each the minimum of several passes, and the memory of the estimator of a session at rest
+//! that revises its answers.
 
 use std::hint::black_box;
 use std::time::Instant;

@@ -116,7 +116,7 @@ impl Run {
         self.epochs.iter().flatten()
     }
 
-    /// The epochs without integers, each with that of `alone`, if both answer.
+    /// The epochs without integers, each with the same epoch of `alone`, if both are answered.
     fn floats<'a>(&'a self, alone: &'a Self) -> impl Iterator<Item = (&'a Judged, &'a Judged)> {
         let both = self.epochs.iter().zip(&alone.epochs);
         both.filter_map(|(own, alone)| Some((own.as_ref()?, alone.as_ref()?)))
@@ -346,8 +346,9 @@ fn print_calibration(names: &[&str], results: &[Vec<Run>]) {
     }
 }
 
-/// Horizontal errors without integers against those of the method at `alone` on the same epochs:
-/// mean and 95 % of all, in how many drives they are larger, and the share inside the 95 % ellipse.
+/// Prints the horizontal errors without integers, and those of the method at `alone` on the same
+/// epochs: mean and 95 % of all, the number of drives with larger errors, and the fraction inside
+/// the 95 % ellipse.
 fn print_floats(names: &[&str], alone: usize, results: &[Vec<Run>]) {
     let other = names[alone];
     println!("\n| mode | epochs without integers | 2D mean | {other} | 95 % | {other} |");

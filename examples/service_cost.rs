@@ -1,11 +1,11 @@
-//! Load on a running service: devices that push one epoch, or one piece of a receiver's bytes, a
-//! call, each over its own connection. Prints the rate, the delays, and the processor time of the
+//! Puts load on a running service. Each device has its own connection, and pushes one epoch or one
+//! chunk of a receiver's bytes a call. Prints the rate, the delays, and the processor time of the
 //! service for each durable epoch.
 //!
 //! `cargo run --release --example service_cost -- --server URL --pid PID [--devices 64]
 //! [--seconds 15] [--interval-ms 0] [--raw FILE.ubx]`
 //!
-//! `scripts/cost` starts the services and runs it on both stores.
+//! `scripts/cost` starts services on both stores and runs this program.
 
 use std::fs;
 use std::process::ExitCode;
@@ -64,7 +64,7 @@ struct Arguments {
     raw: Option<String>,
 }
 
-/// What devices send.
+/// The data that devices send.
 enum Load {
     Epochs(Vec<v1::Epoch>),
     Pieces(Vec<bytes::Bytes>),
@@ -169,13 +169,13 @@ fn print_solver_alone(epochs: &[Epoch], navigation: &graphfix::gnss::Navigation,
     println!("the estimator alone: {each_us:.1} µs an epoch of {mean:.1} observations");
 }
 
-/// The processor time that this thread has used: beside other work, the clock says nothing.
+/// The processor time that this thread has used. The clock would also count other work.
 fn thread_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     Duration::try_from(time).expect("a thread has used no negative time")
 }
 
-/// The bytes of a receiver in pieces that end with the measurements of an epoch.
+/// The bytes of a receiver in chunks that end with the measurements of an epoch.
 fn pieces(bytes: &[u8]) -> Vec<bytes::Bytes> {
     let mut pieces = Vec::new();
     let (mut start, mut at) = (0, 0);
@@ -192,7 +192,7 @@ fn pieces(bytes: &[u8]) -> Vec<bytes::Bytes> {
     pieces
 }
 
-/// A device: sends one epoch or piece after the answer to the one before.
+/// A device. It sends each epoch or chunk after the answer to the previous one.
 struct Device {
     channel: Channel,
     session: String,
@@ -225,7 +225,7 @@ impl Device {
         Ok(())
     }
 
-    /// Sends until it is over. Returns the measured delays (ms).
+    /// Sends until the measurement ends. Returns the measured delays (ms).
     async fn run(mut self) -> Result<Vec<f64>, Failure> {
         let interval = Duration::from_millis(self.arguments.interval_ms);
         let mut client = PositioningClient::new(self.channel.clone());
@@ -258,7 +258,7 @@ impl Device {
         }
     }
 
-    /// Sends the next epoch or piece; returns the number of durable solutions.
+    /// Sends the next epoch or chunk. Returns the number of durable solutions.
     async fn push(
         &self,
         client: &mut PositioningClient<Channel>,

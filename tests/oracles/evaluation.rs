@@ -34,7 +34,8 @@ fn json(command: &mut Command) -> Value {
     serde_json::from_slice(&output.stdout).expect("the answer is JSON")
 }
 
-/// Every member of `theirs` is in `ours` with the same value; ours may have more.
+/// Checks that every member of `theirs` is in `ours` with the same value. Ours may have more
+/// members.
 fn assert_covers(ours: &Value, theirs: &Value, at: &str) -> usize {
     match (ours, theirs) {
         (Value::Object(ours), Value::Object(theirs)) => theirs
@@ -83,8 +84,9 @@ impl Numbers {
     }
 }
 
-/// A truth of 600 s with a gap and a solution at odd times with all qualities, outliers, rows
-/// without truth, two rows of one time, and a broken row.
+/// Writes a truth of 600 s with a gap, and a solution at times between those of the truth. The
+/// solution has all qualities, outliers, rows without truth, two rows of one time, and a broken
+/// row.
 fn synthetic(folder: &Path) -> (PathBuf, PathBuf) {
     let mut numbers = Numbers(7);
     let mut truth = "# made up\ngps_week,tow,lat_deg,lon_deg,height_m\n".to_owned();
@@ -159,7 +161,8 @@ fn numbers_equal_the_independent_judge() {
     }
 }
 
-/// The paper's truth and rover file, with a solution made from the truth: `--obs` counts alike.
+/// The paper's truth and rover file, with a solution made from the truth. With `--obs` both
+/// programs count the same epochs.
 #[test]
 fn expected_epochs_of_a_real_rover_equal_the_judges() {
     let Some(set) = data::set("tst-2019") else { return };

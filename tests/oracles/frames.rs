@@ -15,7 +15,7 @@ use crate::support::python;
 /// Written coordinates have four decimals.
 const ROUNDING_M: f64 = 0.0002;
 
-/// What PROJ finds different in positions of this frame and epoch.
+/// The differences that PROJ finds in positions of this frame and epoch.
 fn compared(python: &str, (mode, frame, year): (&str, &str, &str)) -> Value {
     let mut navigation = Vec::new();
     write_navigation(&mut navigation, &MUNICH.navigation).unwrap();

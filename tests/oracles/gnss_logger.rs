@@ -1,5 +1,5 @@
-//! Logs of GnssLogger: written from the simulator's epochs and read back, in the variants of other
-//! versions of the app and other phones, and damaged.
+//! Logs of GnssLogger are written from the simulator's epochs and read back. Also logs like those
+//! of other versions of the app and of other phones, and damaged logs.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -160,9 +160,9 @@ fn the_title_decides_on_the_order() {
     assert!(skipped.is_empty(), "{skipped:?}");
 }
 
-/// A phone that steers FullBiasNanos by up to 0.4 ms between epochs gives the same measurements:
-/// the oscillator behind TimeNanos matters. Steered beyond 0.5 ms, tag and range step by a
-/// millisecond together and the phase does not.
+/// A phone that steers FullBiasNanos by up to 0.4 ms between epochs gives the same measurements,
+/// since the oscillator of TimeNanos decides. If it steers by more than 0.5 ms, time tag and
+/// pseudorange step together by a millisecond, and the phase does not.
 #[test]
 fn the_steered_bias_does_not_enter() {
     let drive = drive("open-sky", 20.0);
@@ -188,7 +188,7 @@ fn the_steered_bias_does_not_enter() {
     }
 }
 
-/// A discontinuity of the clock, and an invalid phase in between, end every arc.
+/// A discontinuity of the clock ends every arc, and so does an epoch whose phases are invalid.
 #[test]
 fn arcs_end_where_the_phone_says() {
     let drive = drive("open-sky", 6.0);

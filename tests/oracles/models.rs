@@ -99,7 +99,8 @@ fn ephemeris<'a>(navigation: &'a Navigation, row: &Row) -> Option<&'a Ephemeris>
     }
 }
 
-/// The state when the signal was sent that arrived at the row's time, by the table's own range.
+/// The satellite's state when it sent the signal that arrives at the row's time. The travel time
+/// follows from the table's own range.
 fn sent(ephemeris: &Ephemeris, row: &Row) -> SatelliteState {
     satellite_state(ephemeris, row.time - row.range_m / SPEED_OF_LIGHT)
 }
@@ -264,7 +265,7 @@ fn clocks_agree_with_the_simulator() {
     }
 }
 
-/// Klobuchar on each satellite's first signal: 0.15 mm at most.
+/// Klobuchar's model on each satellite's first signal: the difference is 0.15 mm at most.
 ///
 /// The simulator uses GPS's formula for BeiDou too, with BeiDou's coefficients, so this is compared
 /// here; BeiDou's own formula differs by up to metres. Its Galileo delays do not agree with

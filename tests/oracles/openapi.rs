@@ -1,4 +1,4 @@
-//! The OpenAPI document, judged by openapi-spec-validator.
+//! The OpenAPI document is valid by openapi-spec-validator.
 
 use std::process::Command;
 

@@ -67,7 +67,7 @@ fn msm(number: u16, epoch: u64, more: bool, cells: &[Cell]) -> Vec<u8> {
         bits.unsigned(8, 70);
     }
     if has_rates {
-        // For GLONASS the channel −2, else reserved.
+        // The channel −2 for GLONASS, reserved for the others.
         for _ in 0..rows {
             bits.unsigned(4, 5);
         }
@@ -364,7 +364,7 @@ fn messages_of_ambiguous_ranges_are_counted_and_cost_no_other() {
     }
 }
 
-/// A stream of everything above, with garbage between.
+/// A stream of all messages above, with other bytes between them.
 fn mixture() -> Vec<u8> {
     let mut bytes = b"\xd3\x00garbage\xb5\x62$GP".to_vec();
     for second in 0..6 {
@@ -493,7 +493,8 @@ const CASES: [Case; 17] = [
     case("navcom.rtcm", "2019/03/30 00:32:14", (2046, 520_334.0), 64, 2128),
     case("piksi-5Hz.rtcm3", "2019/03/26 08:43:56", (2046, 204_236.6), 38, 2052),
     Case {
-        // BeiDou has GPS time here; RTKLIB then makes separate epochs of it, which hides the rest.
+        // BeiDou is in GPS time here. RTKLIB then makes separate epochs of BeiDou, which hide the
+        // others.
         change: Some((&[1127], 1117)),
         ..case("rtklib_GMSD7_20121014.rtcm3", "2012/10/13 23:59:44", (1709, 604_784.0), 257, 13_103)
     },
@@ -568,7 +569,7 @@ fn some_ephemerides_need_no_reference() {
     let Some(streams) = streams() else { return };
     let (_, bytes) = streams.iter().find(|(name, _)| name == "eph.rtcm").unwrap();
     let (events, statistics) = decode(bytes, None);
-    // 512 of GPS and 48 of QZSS have their week modulo 1024, 16 of GLONASS no date.
+    // 512 messages of GPS and 48 of QZSS have the week modulo 1024, and 16 of GLONASS have no date.
     assert_eq!(statistics.refused_for(Refusal::NoReferenceTime), 576);
     let toes = events.iter().filter_map(|event| match event {
         Event::Ephemeris(ephemeris) => Some(ephemeris),

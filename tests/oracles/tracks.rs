@@ -41,7 +41,7 @@ fn others_read_the_same_track_from_each_format() {
     let counts = run(compare.arg(script).arg(folder.path()).arg("track"));
     let counts: Value = serde_json::from_str(&counts).unwrap();
     assert_eq!(counts["epochs"], 121, "{counts}");
-    // Between buildings the status changes, and each change is another line.
+    // Between buildings the status changes, and each change begins another line of the track.
     assert!(100 < counts["positions"].as_u64().unwrap(), "{counts}");
     assert!(1 < counts["lines"].as_u64().unwrap(), "{counts}");
 }

@@ -101,10 +101,10 @@ fn lock_and_half_cycles_follow_the_tracking_status() {
     };
     let lock = |lock_ms| Measurement { lock_ms, ..PLAIN };
     let status = |status| Measurement { status, ..PLAIN };
-    // First, tracked, fell, zero.
+    // Lock times: the first one, one that rises, one that falls, and zero.
     let found = lost_and_half(&[lock(4000), lock(5000), lock(900), lock(0), lock(1000)]);
     assert_eq!(found.iter().map(|f| f.0).collect::<Vec<_>>(), [true, false, true, true, false]);
-    // Half cycle unresolved, resolved, then taken out of the phase.
+    // The half cycle is unresolved, then resolved, and then subtracted from the phase.
     let found = lost_and_half(&[status(3), status(7), status(15), status(15)]);
     assert_eq!(found, [(true, true), (false, false), (true, false), (false, false)]);
     // A loss while there is no phase is reported with the next phase.
@@ -172,7 +172,7 @@ fn a_recording_is_its_rinex() {
 /// The logs of Galway contain all observations of RTKLIB's RINEX, and more epochs: RTKLIB skips
 /// frames after damaged ones.
 ///
-/// Phases whose standard deviation the receiver puts above 0.02 cycles are not in that RINEX.
+/// Phases whose standard deviation is above 0.02 cycles by the receiver are not in that RINEX.
 #[test]
 fn logs_with_broken_frames_give_all_their_epochs() {
     for (name, own_epochs, epochs, observations, more_phases) in [

@@ -18,7 +18,7 @@ pub(crate) struct Balancer {
 }
 
 impl Balancer {
-    /// HAProxy before the nodes of these ports; `None` (noted) where it is not installed.
+    /// HAProxy before the nodes of these ports; `None` (noted) if it is not installed.
     pub(crate) fn haproxy(ports: &[u16]) -> Option<Self> {
         let port = free_port();
         let mut text = format!(

@@ -13,16 +13,17 @@ use super::python;
 use super::server::free_port;
 use super::wait::until;
 
-/// What the proxy does.
+/// Behaviour of the proxy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Fault {
     /// Forwards everything.
     None,
     /// Closes each connection.
     Away,
-    /// Gives this many requests this status and code.
+    /// Answers this many requests with this status and code.
     Refuses(usize, &'static str, &'static str),
-    /// Gives the request after so many others 503, and goes on so.
+    /// Refuses a request with 503 and then forwards as many as the first number, repeatedly. The
+    /// second number is how many are forwarded before the first refusal.
     Flaky(usize, usize),
     /// Cuts this many downloads of objects after this many bytes.
     Cuts(usize, usize),
@@ -50,7 +51,7 @@ impl Drop for Buckets {
 }
 
 impl Buckets {
-    /// Starts it; `None` (noted) without the programs.
+    /// Starts the service; `None` (noted) if its programs are absent.
     pub(crate) async fn start() -> Option<Self> {
         let (python, port) = (python::with("boto3, moto.server")?, free_port());
         let mut command = Command::new(&python);
@@ -76,18 +77,18 @@ impl Buckets {
         Some(buckets)
     }
 
-    /// From now on the proxy does this.
+    /// Sets the behaviour of the proxy.
     pub(crate) fn set(&self, fault: Fault) {
         *self.fault.lock().unwrap() = fault;
     }
 
-    /// What the proxy does now.
+    /// The present behaviour of the proxy.
     pub(crate) fn fault(&self) -> Fault {
         *self.fault.lock().unwrap()
     }
 
-    /// How many requests came through the proxy, and how many of them Amazon's own code would have
-    /// signed so with this secret.
+    /// Number of requests that came through the proxy, and number of those whose signature is the
+    /// one of Amazon's own code with this secret.
     pub(crate) fn signed_with(&self, secret: &str) -> (usize, usize) {
         let script = python_script("signatures.py");
         let mut command = Command::new(&self.python);
@@ -101,7 +102,7 @@ impl Buckets {
         (requests.len(), right)
     }
 
-    /// Lets Amazon's client do something.
+    /// Runs Amazon's client with these arguments. Returns its output.
     pub(crate) fn ask(&self, arguments: &[&str]) -> Vec<u8> {
         let script = python_script("bucket.py");
         let endpoint = format!("http://127.0.0.1:{}", self.port);
@@ -111,7 +112,7 @@ impl Buckets {
         output.stdout
     }
 
-    /// The names of the objects that begin so, without this beginning.
+    /// The names of the objects that begin with `begin`, without this prefix.
     pub(crate) fn names(&self, begin: &str) -> Vec<String> {
         let keys = String::from_utf8(self.ask(&["keys"])).unwrap();
         keys.lines().filter_map(|key| key.strip_prefix(begin)).map(str::to_owned).collect()
@@ -154,7 +155,7 @@ fn address(head: &str) -> String {
     format!("{method} http://{host}{path}")
 }
 
-/// Takes one request, notes it, and answers it as the fault says.
+/// Accepts one request, records it, and answers it according to the fault.
 fn forward(
     mut client: TcpStream,
     port: u16,

@@ -63,7 +63,8 @@ pub(crate) struct HostileCaster {
 }
 
 impl HostileCaster {
-    /// Gives each connection, once its request has come, to `serve` with its number from 0.
+    /// Calls `serve` for each connection when its request has arrived. Connections are numbered
+    /// from 0.
     pub(crate) async fn start<F: Future<Output = ()> + Send + 'static>(
         serve: impl Fn(usize, TcpStream, String) -> F + Send + Sync + 'static,
     ) -> Self {
@@ -177,12 +178,13 @@ impl Str2str {
         Self { port, source, _running: running }
     }
 
-    /// Sends bytes no faster than it forwards them, until the feed of a base has received all.
+    /// Sends bytes no faster than `str2str` forwards them, until the feed of a base has received
+    /// all.
     pub(crate) async fn play(&mut self, doors: &Doors, base: &str, bytes: &[u8]) {
         let path = format!("/v1/bases/{base}");
         let counted = async || doors.get(&path).await.1["feed"]["bytes"].as_u64().unwrap();
         let begin = counted().await;
-        // It drops data that arrives before its client is connected.
+        // `str2str` drops data that arrives before a client is connected.
         let probe = async || {
             self.source.write_all(&[0]).await.unwrap();
             counted().await
@@ -191,7 +193,7 @@ impl Str2str {
         for piece in bytes.chunks(4_000) {
             self.source.write_all(piece).await.unwrap();
             sent += piece.len() as u64;
-            // Half of its buffer.
+            // Half of the buffer of `str2str`.
             until("handed on", counted, |count| sent <= count + 16_000).await;
         }
         until("handed on", counted, |count| sent <= *count).await;

@@ -1,8 +1,8 @@
 //! The folders of real data. None of it is in the repository.
 //!
-//! `GRAPHFIX_DATA` names the folder; without it `../shared/data` is tried. Where the variable is
-//! set, a missing set fails the test; elsewhere the test is noted as not run, and `scripts/test`
-//! names all of these at its end.
+//! `GRAPHFIX_DATA` names the folder; without it `../shared/data` is tried. If the variable is set,
+//! a missing data set fails the test. Otherwise the test is noted as not run, and `scripts/test`
+//! lists all such tests at its end.
 
 use std::fs::OpenOptions;
 use std::io::Write;

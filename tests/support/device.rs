@@ -11,14 +11,15 @@ use super::streams::unpacked;
 /// Within half a day of the Galway logs.
 pub(crate) const NEAR: GpsTime = GpsTime::from_ns((2021 * 604_800 + 391_000) * 1_000_000_000);
 
-/// The logs of the static rover and its base: RXM-RAWX there, messages 1005, 1077 and 1087 here.
+/// The logs of the static rover and of its base. The rover's has RXM-RAWX, the base's has messages
+/// 1005, 1077 and 1087.
 pub(crate) fn logs() -> Option<(Vec<u8>, Vec<u8>)> {
     let folder = data::set("galway-static")?;
     let log = |name: &str| unpacked(&folder.join(name));
     Some((log("rover-20181004-1237.ubx.gz"), log("base-20181004-1236.ubx.gz")))
 }
 
-/// A device: sends the bytes of its receiver, and is answered.
+/// Sends bytes of a device's receiver. Returns the answer.
 pub(crate) async fn push(
     doors: &Doors,
     session: &str,

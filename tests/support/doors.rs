@@ -21,7 +21,7 @@ use super::wait::until;
 
 /// The operator's calibrations of antennas, in the folder of the database.
 const ANTEX: &str = "antennas.atx";
-/// The operator's table of the geoid, there.
+/// The operator's table of the geoid, in the same folder.
 const GEOID: &str = "geoid.gtx";
 
 pub(crate) struct Doors {
@@ -158,7 +158,7 @@ impl Doors {
         self.app.close().await;
     }
 
-    /// Who calls without a key.
+    /// The caller of requests without a key.
     pub(crate) fn caller(&self) -> Caller {
         self.service.without_key().unwrap()
     }
@@ -198,7 +198,7 @@ impl Doors {
             antennas: AntennasConfiguration { antex: antex.is_file().then_some(antex) },
             geoid_file: geoid.is_file().then_some(geoid),
             jobs: jobs.clone(),
-            // Stored secrets are encrypted in all tests but those of what happens without a key.
+            // Stored secrets are encrypted, except in the tests of a service without a key.
             secrets: SecretsConfiguration { key: Some("5e".repeat(32)), ..Default::default() },
             limits,
             ..ServiceConfiguration::standard()

@@ -1,6 +1,6 @@
 //! A `graphfix serve` whose disk, clock and descriptors fail on demand.
 //!
-//! `failing.c` is preloaded, so that its calls of the system fail as a file says.
+//! `failing.c` is preloaded, so that system calls of the service fail as a file states.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -43,7 +43,7 @@ pub(crate) struct Failing {
 }
 
 impl Failing {
-    /// A service on the database of this URL. The disk of the file fails, if it is one.
+    /// A service on the database of this URL. If the database is a file, its disk can fail.
     pub(crate) async fn start(database: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let (library, control) = (library(folder.path()), folder.path().join("fault"));
@@ -58,12 +58,12 @@ impl Failing {
         Self { server, channel, session, control, database, acknowledged, _folder: folder }
     }
 
-    /// What fails from now on, as `failing.c` says.
+    /// Sets the fault, in the words of `failing.c`.
     pub(crate) fn set(&self, fault: &str) {
         std::fs::write(&self.control, fault).unwrap();
     }
 
-    /// Pushes an epoch, and keeps what is acknowledged.
+    /// Pushes an epoch, and records an acknowledged answer.
     pub(crate) async fn push(&mut self, seq: u64) -> Result<(), String> {
         let epochs = vec![serde_json::from_value(epoch(seq)).unwrap()];
         let push = v1::PushEpochsRequest { session: self.session.clone(), epochs };
@@ -100,15 +100,15 @@ impl Failing {
         self.is_ready(200).await;
     }
 
-    /// `/readyz` answers with this status before long.
+    /// Waits until `/readyz` answers with this status.
     pub(crate) async fn is_ready(&self, expected: u16) {
         let port = self.server.port;
         let ready = async || status_of(port, "/readyz");
         until("as ready as expected", ready, |status| *status == expected).await;
     }
 
-    /// With the fault an epoch is refused in time and the service is not ready; after it, without a
-    /// restart, both end.
+    /// Checks that an epoch is refused in time during the fault and that the service is not ready.
+    /// After the fault the service serves the epoch and is ready again, without a restart.
     pub(crate) async fn fails_and_recovers(&mut self, fault: &str, seq: u64) {
         self.push(seq).await.unwrap();
         self.set(fault);

@@ -18,7 +18,7 @@ const DEADLINE: Duration = Duration::from_secs(60);
 /// A stream of messages `Q`, answered by messages `A`.
 #[derive(Debug)]
 pub(crate) struct Flow<Q, A> {
-    /// Dropped to close this side.
+    /// Dropping it closes the device's side.
     sender: Option<mpsc::Sender<Q>>,
     answers: Streaming<A>,
 }
@@ -37,7 +37,7 @@ where
     try_epochs(service, opening).await.unwrap()
 }
 
-/// The same of a service that may not answer.
+/// The same for a service that may not answer.
 pub(crate) async fn try_epochs<T>(
     service: T,
     opening: v1::StreamOpening,
@@ -96,7 +96,7 @@ impl<Q, A> Flow<Q, A> {
         self.next().await.unwrap().expect("the stream has ended")
     }
 
-    /// Why the service ends the stream, after any answers.
+    /// The status with which the service ends the stream. Skips answers before it.
     pub(crate) async fn refusal(&mut self) -> Status {
         loop {
             match self.next().await {

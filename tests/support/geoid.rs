@@ -1,7 +1,8 @@
 //! Tables of the geoid, made up.
 
-/// A GTX table of a plane: 46 m at 48° N 11° E, 2 m more a degree north and 0.5 m less a degree
-/// east; rows from 45° to 51° N, columns from 8° to 14° E, a degree apart.
+/// A GTX table of a plane. Its height is 46 m at 48° N 11° E, and changes by 2 m per degree north
+/// and by −0.5 m per degree east. Rows are at 45° to 51° N and columns at 8° to 14° E, a degree
+/// apart.
 pub(crate) fn plane() -> Vec<u8> {
     let numbers = [45.0_f64, 8.0, 1.0, 1.0].map(f64::to_be_bytes).concat();
     let counts = [7_i32, 7].map(i32::to_be_bytes).concat();

@@ -27,7 +27,7 @@ pub(crate) struct Files {
 pub(crate) static MINUTE: LazyLock<Files> = LazyLock::new(|| simulated(60.0));
 /// Five minutes.
 pub(crate) static LONG: LazyLock<Files> = LazyLock::new(|| simulated(300.0));
-/// An hour: what a fast machine needs some seconds for.
+/// An hour, which a fast machine computes in some seconds.
 pub(crate) static HOUR: LazyLock<Files> = LazyLock::new(|| simulated(3_600.0));
 
 fn simulated(duration_s: f64) -> Files {
@@ -76,14 +76,15 @@ pub(crate) fn form(files: &[PathBuf; 3], options: &str) -> Vec<String> {
     parts.into_iter().flat_map(|part| ["-F".to_owned(), part]).collect()
 }
 
-/// Whether a job that was asked for runs no more.
+/// Whether a job has ended.
 pub(crate) fn has_ended(job: &Value) -> bool {
     job["state"].as_str().is_some_and(|state| state != "QUEUED" && state != "RUNNING")
 }
 
-/// Asks for a job until it has ended.
+/// Requests a job until it has ended.
 ///
-/// Panics when it stands still: a busy machine may take long for a long recording.
+/// Panics if the job makes no progress for a time. There is no limit of the whole time, since a
+/// busy machine may need long for a long recording.
 pub(crate) async fn until_ended(mut ask: impl AsyncFnMut() -> Value) -> Value {
     let progress = |job: &Value| job["progress"]["epochs"].as_u64();
     let mut last = None;

@@ -44,7 +44,7 @@ pub(crate) struct Node {
 pub(crate) struct Setting {
     /// Arguments of its command.
     pub(crate) arguments: Vec<String>,
-    /// What its clients trust, if its port has TLS.
+    /// The TLS of its clients, if its port has TLS.
     pub(crate) client: Option<TlsConnector>,
 }
 
@@ -206,7 +206,7 @@ pub(crate) fn push_of(session: &str, seq: u64) -> v1::PushEpochsRequest {
     v1::PushEpochsRequest { session: session.to_owned(), epochs }
 }
 
-/// What a device was answered.
+/// The answers that a device got.
 #[derive(Debug, Default)]
 pub(crate) struct Answered {
     pub(crate) session: String,

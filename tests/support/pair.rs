@@ -16,7 +16,7 @@ use graphfix::simulation::{Scenario, Simulator};
 pub(crate) struct Pair {
     /// Numbered from 1.
     pub(crate) rover: Vec<SequencedEpoch>,
-    /// Of the same times.
+    /// Epochs of the base at the rover's times.
     pub(crate) base: Vec<Epoch>,
     pub(crate) navigation: Navigation,
     /// Position of the base's antenna.

@@ -8,7 +8,7 @@ use tokio::net::{TcpListener, TcpStream, lookup_host};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-/// What the proxy does.
+/// Behaviour of the proxy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Mode {
     /// Forwards everything.
@@ -19,8 +19,8 @@ pub(crate) enum Mode {
     Refuse,
     /// Closes the connection that commits next before the server receives `COMMIT`.
     CutBeforeCommit,
-    /// Closes the connection that commits next after the server has committed, before the client is
-    /// answered.
+    /// Closes the connection that commits next. The server has then committed, and the client has
+    /// no answer yet.
     CutAfterCommit,
 }
 
@@ -70,7 +70,7 @@ impl Proxy {
     }
 }
 
-/// Forwards one connection until either end closes it or the mode does.
+/// Forwards one connection until one end closes it, or until the mode requires it.
 async fn forward(mut client: TcpStream, server: SocketAddr, mode: watch::Sender<Mode>) {
     let (mut modes, mut closing) = (mode.subscribe(), mode.subscribe());
     if thawed(&mut modes).await == Mode::Refuse {

@@ -1,4 +1,4 @@
-//! Recordings with truth, solved and judged.
+//! Recordings with truth: their solutions and the errors of these.
 
 use std::path::Path;
 
@@ -60,8 +60,8 @@ pub(crate) fn canyon() -> Option<Recording> {
     Some(recording)
 }
 
-/// Horizontal mean, deviation and maximum, mean of the height's error, 95 % of the errors in space,
-/// share inside the stated 95 % ellipse.
+/// Mean, standard deviation and maximum of the horizontal errors, mean height error, 95 % of the 3D
+/// errors, and fraction inside the stated 95 % ellipse.
 pub(crate) struct Errors {
     pub(crate) mean_m: f64,
     pub(crate) deviation_m: f64,
@@ -111,7 +111,7 @@ impl Errors {
         })
     }
 
-    /// Of the moving receiver of `spirent-rtk`.
+    /// Errors of the moving receiver of `spirent-rtk`.
     pub(crate) fn on_the_simulator(folder: &Path, solutions: &[Solution]) -> Self {
         let rows = truth::read(open(&folder.join("truth-dynamic.csv")), 2244).unwrap();
         assert_eq!(solutions.len(), 601);

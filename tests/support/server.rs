@@ -15,7 +15,7 @@ use super::wait::until;
 /// Longest time without a byte of an answer.
 const ANSWER: Duration = Duration::from_secs(30);
 
-/// Names another build of the program that the tests start.
+/// The variable that names another build of the program, which the tests then start.
 const PROGRAM: &str = "GRAPHFIX_TEST_PROGRAM";
 
 /// The program that the tests start.
@@ -35,7 +35,7 @@ impl Server {
         Self::start_with(database, port, |_| {})
     }
 
-    /// Started by a command with these changes.
+    /// Starts a service by a command with these changes.
     pub(crate) fn start_with(database: &str, port: u16, change: impl FnOnce(&mut Command)) -> Self {
         let mut command = Command::new(program());
         command
@@ -64,7 +64,7 @@ impl Server {
         self.child.try_wait().unwrap().map(|status| status.success())
     }
 
-    /// SIGKILL, which no process can answer.
+    /// Kills the process by SIGKILL, which a process cannot handle.
     pub(crate) fn kill(mut self) {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -97,8 +97,8 @@ pub(crate) fn replayed(
     (output.status.success(), text, String::from_utf8(output.stderr).unwrap())
 }
 
-/// A connection that waits for an answer for some time only. A port that nobody listens on may
-/// connect to itself.
+/// A connection whose reads have a time limit. If nobody listens on the port, the connection may
+/// connect to itself, and then no answer comes.
 fn connected(port: u16) -> std::io::Result<TcpStream> {
     let stream = TcpStream::connect(("127.0.0.1", port))?;
     stream.set_read_timeout(Some(ANSWER))?;

@@ -131,7 +131,7 @@ pub(crate) fn at(week: i32, second: f64) -> GpsTime {
     GpsTime::from_week_seconds(week, second)
 }
 
-/// What a stream says, pushed in pieces of `piece` bytes.
+/// The decoded content of a stream that is pushed in chunks of `piece` bytes.
 pub(crate) fn decode_in_pieces(
     bytes: &[u8],
     reference: Option<TimeReference>,
@@ -211,7 +211,7 @@ pub(crate) fn convbin(bytes: &[u8], format: &str, start: Option<&str>) -> (Vec<u
     (read("obs"), read("nav"))
 }
 
-/// Tags this close are of one epoch (s).
+/// Time tags that differ by less belong to one epoch (s).
 const SAME_EPOCH_S: f64 = 0.004;
 
 /// The result of a comparison of epochs.
@@ -229,7 +229,8 @@ pub(crate) struct Agreement {
     pub(crate) flags: usize,
 }
 
-/// Compares our epochs with a RINEX file's, to its last digit; a value that differs is a panic.
+/// Compares our epochs with those of a RINEX file, to the last digit of the file. Panics if a value
+/// differs.
 ///
 /// If the other epoch does not have a code, another code of its band is used: RINEX files of
 /// receivers that track pilot and data call both X, or contain one of them.
@@ -268,7 +269,7 @@ fn compare_observation(
     theirs: &Observation,
     agreement: &mut Agreement,
 ) {
-    // Half a digit, and rounding errors of reading and adding.
+    // Half of the last digit, and rounding errors of reading and adding.
     let digit = |value: f64| 0.0005 + value.abs() * 1e-15 + 1e-9;
     let values = [
         (ours.pseudorange_m, theirs.pseudorange_m, 0.0),
@@ -367,7 +368,7 @@ pub(crate) fn satellite(name: &str) -> SatelliteId {
     name.parse().unwrap()
 }
 
-/// Numbers without a library: xorshift64 (Marsaglia 2003).
+/// Pseudo-random numbers by xorshift64 (Marsaglia 2003).
 pub(crate) struct Random(u64);
 
 impl Random {

@@ -128,7 +128,7 @@ pub(crate) struct Files {
 }
 
 impl Files {
-    /// With the pair of a service.
+    /// Files in a new folder, with the pair of a service.
     pub(crate) fn new(pair: &Pair) -> Self {
         let files = Self { folder: tempfile::tempdir().unwrap() };
         files.put(pair);

@@ -3,12 +3,12 @@
 use std::fmt::Debug;
 use std::time::{Duration, Instant};
 
-/// Longer than any condition of these tests takes on a busy machine.
+/// More than the time that any condition of these tests needs on a busy machine.
 const DEADLINE: Duration = Duration::from_secs(60);
 
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// Calls again until `is_so` holds for the answer, and returns that answer.
+/// Repeats a call until `is_so` is true for its answer, and returns this answer.
 ///
 /// Panics with `what` and the last answer when the deadline passes.
 pub(crate) async fn until<T: Debug>(
@@ -27,7 +27,7 @@ pub(crate) async fn until<T: Debug>(
     }
 }
 
-/// Checks for a while that `is_so` holds, and panics with `what` if it does not.
+/// Repeats a call for this time. Panics with `what` if `is_so` is once false for its answer.
 pub(crate) async fn stays<T: Debug>(
     what: &str,
     duration: Duration,

@@ -60,7 +60,7 @@ fn anchors(page: &Path) -> BTreeSet<String> {
     headings.map(|line| anchor(line.trim_start_matches('#').trim())).collect()
 }
 
-/// What is wrong with a link of a page, if anything is.
+/// The reason why a link of a page is wrong, or `None`.
 fn fault(page: &Path, link: &str) -> Option<String> {
     if link.contains("://") {
         return None;

@@ -162,7 +162,7 @@ const MAY_NAME: &[(&str, &[&str])] = &[
     ),
 ];
 
-/// Modules that only compute, and what must not occur in them.
+/// Modules that only compute. [`IMPURE`] lists the words that must not occur in them.
 const PURE: &[&str] =
     &["gnss", "snapshot", "models", "graph", "lambda", "formats", "positioning", "reception"];
 const IMPURE: &[&str] = &[

@@ -1,8 +1,8 @@
 //! Which module names which, and where modules name each other in a circle.
 //!
-//! A module is a file; a folder's `mod.rs` is the folder itself. What a file names is read off its
-//! `use` declarations and its paths that begin with `crate`, `super` or `self`; a name that a
-//! folder re-exports is followed to the file that defines it. A call of a method names nothing.
+//! A module is a file; a folder's `mod.rs` is the folder itself. The names of a file are those of
+//! its `use` declarations and of its paths that begin with `crate`, `super` or `self`. A name that
+//! a folder re-exports is followed to the file that defines it. A call of a method names nothing.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,10 +11,10 @@ use super::source::{all_files, code_of, identifier, inside, starts_word};
 /// A module's path, or that of an item in it, without `crate`.
 type ModulePath = Vec<String>;
 
-/// All modules of a tree of sources but those that only tests compile.
+/// All modules of a tree of sources, except those that only tests compile.
 pub(super) struct Modules(BTreeMap<ModulePath, Module>);
 
-/// What a module names, and what it passes on under which name.
+/// The paths that a module names, and those that it re-exports, by their new names.
 #[derive(Default)]
 struct Module {
     named: BTreeSet<ModulePath>,
@@ -36,7 +36,7 @@ impl Modules {
         Self::of(&sources)
     }
 
-    /// The same of sources by their modules.
+    /// The modules of these sources.
     fn of(sources: &BTreeMap<ModulePath, String>) -> Self {
         let of_tests: Vec<ModulePath> =
             sources.iter().flat_map(|(path, code)| modules_of_tests(path, code)).collect();
@@ -53,8 +53,8 @@ impl Modules {
         named.filter(|name| *name != module).cloned().collect()
     }
 
-    /// Circles of the modules of one folder, at every depth: what lies in a module's own folder
-    /// counts as the module. Each is a text of module paths.
+    /// Circles among the modules of one folder, for folders of every depth. Files in a module's own
+    /// folder count as this module. Each circle is a text of module paths.
     pub(super) fn circles(&self) -> Vec<String> {
         let mut circles = BTreeSet::new();
         let folders: BTreeSet<&[String]> =
@@ -113,7 +113,7 @@ fn below<'a>(path: &'a [String], folder: &[String]) -> Option<(&'a String, &'a [
     path.strip_prefix(folder)?.split_first()
 }
 
-/// What can be reached from a start by one arrow or more.
+/// The modules that can be reached from a start by one arrow or more.
 fn reached<'a>(
     arrows: &BTreeMap<&'a String, BTreeSet<&'a String>>,
     start: &String,
@@ -140,7 +140,7 @@ fn modules_of_tests(path: &ModulePath, code: &str) -> Vec<ModulePath> {
     declared.map(child).collect()
 }
 
-/// What a module's code names and re-exports.
+/// The paths that a module's code names and re-exports.
 fn module(path: &ModulePath, code: &str, paths: &BTreeSet<&ModulePath>) -> Module {
     let mut module = Module::default();
     for (at, _) in code.match_indices("use ").filter(|(at, _)| starts_word(code, *at)) {

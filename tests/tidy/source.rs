@@ -1,4 +1,4 @@
-//! Sources as text: which files there are, and what of them is code, comment or literal.
+//! Sources as text: the list of files, and their division into code, comments and literals.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -54,7 +54,7 @@ pub(super) fn code_of(file: &Path) -> String {
     code_only(&before_tests(file))
 }
 
-/// What a token of a source is.
+/// The kind of a token of a source.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Kind {
     Code,
@@ -182,7 +182,8 @@ pub(super) fn functions(code: &str) -> Vec<Function> {
     found
 }
 
-/// Byte at which a function's body or the `;` in its place begins; that of `[u8; 4]` is neither.
+/// Byte at which a function's body begins, or the `;` in its place. The `;` of `[u8; 4]` does not
+/// count.
 fn signature_end(code: &str) -> Option<usize> {
     let mut depth = 0;
     code.find(|c| {
@@ -216,12 +217,12 @@ fn parameters(signature: &str) -> usize {
     panic!("the parameters do not end: {signature}")
 }
 
-/// Whether no identifier runs into the word at that byte.
+/// Whether a word begins at that byte: no character of an identifier is before it.
 pub(super) fn starts_word(code: &str, at: usize) -> bool {
     !code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_')
 }
 
-/// The scanner works: what it should find it finds.
+/// The scanner finds code, literals and functions where they are, and nowhere else.
 #[test]
 fn the_scanner_sees_code_and_not_words() {
     let text = "let a = \"crate::x\"; // crate::y\nlet b = '\"'; crate::z /* } */ 'a {}";

@@ -1,4 +1,5 @@
-//! The integer least squares of Graphfix alone, compiled from its sources: it names no other module.
+//! The integer least squares of Graphfix alone, compiled from its sources. They name no other
+//! module.
 
 #[path = "../../../compute/src/lambda/mod.rs"]
 pub mod lambda;

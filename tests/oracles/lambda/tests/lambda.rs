@@ -13,7 +13,8 @@ fn pseudo(i: usize) -> f64 {
     2.0 * (x * (1.0 + x)).fract() - 1.0
 }
 
-/// Strongly correlated: differences of fine measurements of three coarsely known parameters.
+/// A covariance with strong correlations: differences of precise measurements of three parameters
+/// that are known coarsely.
 fn covariance(size: usize, seed: usize) -> DMatrix<f64> {
     let coarseness = [10.0, 30.0, 100.0][seed % 3];
     let design = DMatrix::from_fn(size, 3, |i, j| coarseness * pseudo(seed * 97 + 3 * i + j));
