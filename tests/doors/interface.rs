@@ -103,7 +103,7 @@ fn rest() -> Vec<String> {
 }
 
 /// No field, number, type, call, route, parameter or code of the released interface is removed or
-/// changed. With a release the file is written anew: `GRAPHFIX_RELEASE=1`.
+/// changed. At a release `GRAPHFIX_RELEASE=1` writes the file again.
 #[test]
 fn the_released_interface_still_holds() {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(RELEASED);
