@@ -65,6 +65,7 @@ fn the_order_of_satellites_changes_nothing() {
         epoch.observations.reverse();
     }
     let reversed = recording.causal(Mode::Ekf, Profile::UrbanVehicle);
+    assert_eq!((expected.len(), reversed.len()), (60, 60));
     for (a, b) in expected.iter().zip(&reversed) {
         let (a, b) = (a.estimate.as_ref().unwrap(), b.estimate.as_ref().unwrap());
         assert!(a.position.distance_m(b.position) < 1e-6);

@@ -486,7 +486,7 @@ fn integers_of_glonass_are_found() {
 /// In each epoch one pseudorange is a millisecond off. At most two fixes are lost. The position is
 /// the same to a millimetre, and the time of reception to a tenth of a microsecond.
 #[test]
-fn a_wild_pseudorange_costs_no_fix() {
+fn a_wild_pseudorange_moves_no_fix() {
     let mut turn = 0;
     let disturbed = answers_of_a_rover(&mut |epoch, _| {
         let count = epoch.observations.len();
