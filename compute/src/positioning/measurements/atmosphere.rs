@@ -3,9 +3,7 @@
 use crate::config::{
     IonosphereModel, PositioningOptions, TroposphereMapping, TroposphereModel, WeightModel,
 };
-use crate::gnss::{
-    Constellation, Ecef, Geodetic, GpsTime, LocalFrame, Navigation, ObservationCode,
-};
+use crate::gnss::{Ecef, Geodetic, GpsTime, LocalFrame, Navigation};
 use crate::models::ionosphere::{
     broadcast_delay_m, klobuchar_delay_m, klobuchar_variance_m2, typical_delay_m,
     typical_variance_m2,
@@ -16,6 +14,7 @@ use crate::models::look_angles;
 use crate::models::troposphere::{self, Mapping, Troposphere};
 use crate::models::weights::MeasurementWeights;
 
+use super::inter_frequency::InterFrequencyBiases;
 use super::weights::{constellation_factor, receiver_weights};
 use super::{Measurement, SecondFrequency};
 
@@ -93,6 +92,7 @@ impl<'a> Atmosphere<'a> {
                 biases.add(measurement);
             }
         }
+        biases.settle();
         for measurement in list.iter_mut().filter(|measurement| measurement.is_above_mask) {
             self.correct_one(measurement, biases, options);
         }
@@ -112,11 +112,12 @@ impl<'a> Atmosphere<'a> {
             }
             None => (0.0, 0.0),
         };
-        let (range_m, variance_m2, ionosphere_sigma_m) = match &measurement.second {
-            Some(second) if options.ionosphere != IonosphereModel::None => {
-                dual_frequency_range(measurement, second, biases.of(measurement, second))
-            }
-            _ => (
+        let second = measurement.second.as_ref();
+        let second = second.filter(|_| options.ionosphere != IonosphereModel::None);
+        let second = second.and_then(|second| Some((second, biases.of(measurement, second)?)));
+        let (range_m, variance_m2, ionosphere_sigma_m) = match second {
+            Some((second, bias_m)) => dual_frequency_range(measurement, second, bias_m),
+            None => (
                 measurement.pseudorange_m - measurement.ionosphere_m,
                 measurement.noise_m2 + measurement.ionosphere_m2,
                 measurement.ionosphere_m2.sqrt(),
@@ -242,60 +243,4 @@ fn dual_frequency_range(
     let determinant = gg * ii - gi * gi;
     let share_m = gi * prior.sqrt() / determinant;
     (measurement.pseudorange_m + (ii * g - gi * i) / determinant, ii / determinant, share_m)
-}
-
-/// Receiver delay of each second signal against the main one, by signal.
-///
-/// b = weighted mean over the satellites of P₂ − P₁ − (γ − 1)·I with the modelled I. An error of
-/// the model that is common to all satellites goes into b too, because one epoch cannot separate
-/// the two. So the second frequency contributes only how the ionosphere differs from satellite to
-/// satellite.
-#[derive(Clone, Debug, Default)]
-pub(super) struct InterFrequencyBiases(Vec<InterFrequencyBias>);
-
-#[derive(Clone, Copy, Debug)]
-struct InterFrequencyBias {
-    constellation: Constellation,
-    code: ObservationCode,
-    weight: f64,
-    weighted_m: f64,
-}
-
-impl InterFrequencyBiases {
-    fn clear(&mut self) {
-        self.0.clear();
-    }
-
-    fn add(&mut self, measurement: &Measurement) {
-        let Some(second) = &measurement.second else { return };
-        let slope = second.gamma - 1.0;
-        let difference_m = second.pseudorange_m - measurement.pseudorange_m;
-        let bias_m = difference_m - slope * measurement.ionosphere_m;
-        let noise_m2 = measurement.noise_m2 + second.noise_m2;
-        let weight = (noise_m2 + slope * slope * measurement.ionosphere_m2).recip();
-        match self.0.iter_mut().find(|bias| bias.is_of(measurement, second)) {
-            Some(bias) => {
-                bias.weight += weight;
-                bias.weighted_m += weight * bias_m;
-            }
-            None => self.0.push(InterFrequencyBias {
-                constellation: measurement.satellite.constellation,
-                code: second.code,
-                weight,
-                weighted_m: weight * bias_m,
-            }),
-        }
-    }
-
-    /// b of a measurement's second signal (m); zero if it is unknown, as without a model.
-    fn of(&self, measurement: &Measurement, second: &SecondFrequency) -> f64 {
-        let known = self.0.iter().find(|bias| bias.is_of(measurement, second));
-        known.filter(|bias| 0.0 < bias.weight).map_or(0.0, |bias| bias.weighted_m / bias.weight)
-    }
-}
-
-impl InterFrequencyBias {
-    fn is_of(&self, measurement: &Measurement, second: &SecondFrequency) -> bool {
-        self.constellation == measurement.satellite.constellation && self.code == second.code
-    }
 }

@@ -9,6 +9,7 @@
 mod atmosphere;
 mod bands;
 mod corrected;
+mod inter_frequency;
 mod signals;
 mod weights;
 
@@ -24,6 +25,7 @@ use crate::models::{
 };
 
 use atmosphere::Atmosphere;
+use inter_frequency::InterFrequencyBiases;
 
 pub(super) use atmosphere::RELATIVE_HUMIDITY;
 pub(super) use bands::ReceiverBands;
@@ -122,7 +124,7 @@ pub struct Measurements {
     pub ionosphere_fallback: Option<&'static str>,
     /// Displacement since the previous epoch by another sensor.
     pub odometry: Option<Odometry>,
-    biases: atmosphere::InterFrequencyBiases,
+    biases: InterFrequencyBiases,
 }
 
 impl Measurements {
