@@ -14,9 +14,9 @@
 //! - **A run** is one blocking thread. Before each step it takes a turn of the sessions' solver
 //!   pool, in the lane with the lowest share, so that live sessions have priority.
 //! - **The end** of a job is written with the fence of its claim. A run that was cancelled, or
-//! whose job another process has claimed, writes no end: its result is removed. - **A webhook** is
-//! informed of the end of its job by a signed message, until its host accepts the message or the
-//! allowed number of attempts has failed.
+//!   whose job another process has claimed, writes no end: its result is removed.
+//! - **A webhook** is informed of the end of its job by a signed message, until its host accepts
+//!   the message or the allowed number of attempts has failed.
 //! - **A bucket** of an S3 service can contain the files instead of the folder.
 //! - **Nodes of a cluster** share the folder or the bucket. Each takes, runs and answers jobs; the
 //!   leader fetches inputs, and removes what has expired.

@@ -430,7 +430,7 @@ mod tests {
     fn unsupported_compression_has_a_remedy_of_its_own() {
         for packed in [&b"\x1f\x9d\x90abcdef"[..], b"PK\x03\x04abcdef", b"BZh91AY&SYabc"] {
             let opened = Observations::new(Recognised::new(packed), None, &Navigation::default());
-            let error = opened.err().expect("a packed file has no observations");
+            let Err(error) = opened else { panic!("a packed file has no observations") };
             let remedy = error.remedy().unwrap_or("none");
             assert!(remedy.contains("unpack the file"), "{error}: {remedy}");
         }

@@ -5,11 +5,12 @@
 //! so that each run of the job computes with the same inputs.
 //!
 //! - **Ephemerides** in the receivers' own data come first: with them nothing is added, and the
-//! recording is positioned as by `graphfix solve`. Otherwise the service adds its present
-//! ephemerides, if they are in force all the time. Otherwise it adds the files of that time from
-//! the operator's archives; without such files its present ephemerides, if they are in force some
-//! of the time. - **A base** is the one in the request, otherwise the nearest one. Its epochs are
-//! the stored ones of that time, or those of its archive's files.
+//!   recording is positioned as by `graphfix solve`. Otherwise the service adds its present
+//!   ephemerides, if they are in force all the time. Otherwise it adds the files of that time from
+//!   the operator's archives; without such files its present ephemerides, if they are in force some
+//!   of the time.
+//! - **A base** is the one in the request, otherwise the nearest one. Its epochs are the stored
+//!   ones of that time, or those of its archive's files.
 
 mod background;
 mod base_epochs;
