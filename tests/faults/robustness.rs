@@ -142,6 +142,21 @@ fn half_a_minute_without_epochs() {
     }
 }
 
+/// In each epoch the second band of one satellite is three kilometres off. It is left out, and does
+/// not shift the delay between the bands that the other satellites show.
+#[test]
+fn a_wild_pseudorange_of_a_second_band_moves_nothing() {
+    let mut drive = Drive::new(60.0);
+    for (second, epoch) in drive.epochs.iter_mut().enumerate() {
+        let satellites = epoch.by_satellite().count();
+        let (wild, _) = epoch.by_satellite().nth(second % satellites).unwrap();
+        let of_wild = epoch.observations.iter_mut().filter(|o| o.satellite == wild);
+        let second_band = of_wild.skip(1).find_map(|o| o.pseudorange_m.as_mut()).unwrap();
+        *second_band += 3_000.0;
+    }
+    drive.assert_all(3.0, "a wild second band");
+}
+
 /// The clock steps by a millisecond in the time tag and the pseudoranges, with and without a step
 /// of the phases.
 #[test]
