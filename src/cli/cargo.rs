@@ -31,7 +31,7 @@ pub(super) trait Cargo {
 pub(super) struct Opening<'a> {
     pub(super) session: &'a str,
     pub(super) answers: v1::Answers,
-    /// Number of the last answered epoch; 0 if there is none.
+    /// Number of the last answered epoch; 0 before the first answer.
     pub(super) acknowledged: u64,
 }
 

@@ -68,7 +68,7 @@ pub(crate) struct DatabaseReadiness {
 pub(crate) struct ClusterReadiness {
     /// Names of the live nodes, as this one knows them.
     pub nodes: Vec<String>,
-    /// Name of the leading node; absent if there is none.
+    /// Name of the leading node; absent while no node leads.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub leader: Option<String>,
     /// Number of this node's lease.

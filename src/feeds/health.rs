@@ -87,7 +87,7 @@ pub(crate) struct FeedHealth {
     pub last_epoch: Option<GpsTime>,
     /// Number of ephemerides received. A repeated issue counts once.
     pub ephemerides: u64,
-    /// Messages by type, of the present connection, or of the last one if there is none.
+    /// Messages by type, of the present connection; without a connection, those of the last one.
     pub statistics: Statistics,
     /// Distance from the base's stated position to the position in the stream (m).
     pub station_off_m: Option<f64>,

@@ -162,7 +162,7 @@ impl Unfetched {
         }
     }
 
-    /// The delay before the next attempt; `None` if there is none.
+    /// The delay before the next attempt; `None` after the last attempt.
     fn delay(&self, tries: &mut Tries) -> Option<Duration> {
         match self {
             Self::Web(error) => tries.delay_after(error),

@@ -40,7 +40,7 @@ export function pointInterval(seq: number, time: GpsTime, index: number): Interv
   };
 }
 
-/** A single value as a range; null if there is none. */
+/** A single value as a range; null for a missing value. */
 export const only = (value: number | null | undefined): Range | null =>
   value === null || value === undefined ? null : { min: value, max: value, last: value };
 

@@ -152,7 +152,7 @@ fn timestamp(unix_ms: i64) -> Option<Timestamp> {
     Some(Timestamp { seconds: unix_ms.div_euclid(1000), nanos })
 }
 
-/// The number of an enumeration value with this name; zero (unspecified) if there is none.
+/// The number of the enumeration value with this name; zero (unspecified) for an unknown name.
 fn typed<E: Into<i32>>(name: &str, of_name: impl Fn(&str) -> Option<E>) -> i32 {
     of_name(name).map_or(0, Into::into)
 }

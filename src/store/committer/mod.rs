@@ -344,8 +344,8 @@ impl<C: Connect> Running<C> {
         }
     }
 
-    /// Opens and probes a connection if there is none, and refuses all batches meanwhile.
-    /// Returns `false` if the committer is stopped before, or if the lease is lost.
+    /// Opens and probes a connection if the committer has lost its own. Meanwhile all batches are
+    /// refused. Returns `false` if the committer is stopped before, or if the lease is lost.
     async fn reconnected(&mut self, inbox: &mut mpsc::Receiver<Message>) -> bool {
         while self.link.is_none() {
             let connecting = connected(&self.connector, self.timing.deadline, &self.health);
