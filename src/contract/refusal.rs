@@ -54,8 +54,8 @@ impl Refusal {
         }
     }
 
-    /// The refusal that ended a body, found among the causes of `error`. Without a refusal among them,
-    /// the body is not packed as its `Content-Encoding` states: `MALFORMED_BODY`.
+    /// The refusal that ended a body, found among the causes of `error`. Without a refusal among
+    /// them, the body is not packed as its `Content-Encoding` states: `MALFORMED_BODY`.
     pub(crate) fn of_body(error: &(dyn std::error::Error + 'static)) -> Self {
         let causes = std::iter::successors(Some(error), |error| error.source());
         let refusal = causes.filter_map(|cause| cause.downcast_ref::<Self>()).next();
