@@ -14,6 +14,9 @@ pub(super) trait Cargo {
     type Request: Message + Clone + Default + 'static;
     type Response: 'static;
 
+    /// What a message is counted in, in the plural.
+    const UNIT: &'static str;
+
     /// The first message.
     fn opening(&self, opening: Opening<'_>) -> Self::Request;
 
@@ -78,6 +81,8 @@ impl Cargo for Epochs {
     type Request = v1::StreamRequest;
     type Response = v1::StreamResponse;
 
+    const UNIT: &'static str = "epochs";
+
     fn opening(&self, opening: Opening<'_>) -> Self::Request {
         let opening = v1::StreamOpening {
             session: opening.session.to_owned(),
@@ -111,6 +116,8 @@ impl Cargo for Epochs {
 impl Cargo for RawBytes {
     type Request = v1::StreamRawRequest;
     type Response = v1::StreamRawResponse;
+
+    const UNIT: &'static str = "chunks";
 
     fn opening(&self, opening: Opening<'_>) -> Self::Request {
         let opening = v1::StreamRawOpening {

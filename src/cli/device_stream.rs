@@ -273,7 +273,7 @@ impl<C: Cargo> DeviceStream<C> {
             return Ok(());
         }
         let Amount { count, bytes } = open.credit;
-        let message = format!("the service takes {count} epochs and {bytes} bytes at a time");
+        let message = format!("the service takes {count} {} and {bytes} bytes at a time", C::UNIT);
         Err(Failure::new(Code::CreditExceeded, message, "raise limits.stream_bytes there"))
     }
 

@@ -94,7 +94,8 @@ impl Service {
         registry.register("epochs_refused", "Refused epochs", meters.refused.clone());
         let restores = "Sessions with epochs loaded from the database";
         registry.register("restores", restores, meters.restores.clone());
-        let quarantined = "Epochs on which an estimator failed";
+        let quarantined =
+            "Epochs on which an estimator failed, and chunks on which a decoder failed";
         registry.register("epochs_quarantined", quarantined, meters.quarantined.clone());
         let help = "Time of a batch of epochs in each stage";
         registry.register_with_unit("stage", help, Unit::Seconds, meters.stages.clone());

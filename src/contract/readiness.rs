@@ -39,7 +39,7 @@ pub(crate) struct Readiness {
     pub cluster: Option<ClusterReadiness>,
     /// States of sessions loaded from the database since the start.
     pub restores: u64,
-    /// Epochs on which an estimator panicked, since the start.
+    /// Epochs on which an estimator panicked, and chunks on which a decoder did, since the start.
     pub quarantined: u64,
 }
 

@@ -25,7 +25,7 @@ pub struct Counters {
 pub(crate) struct SessionMeters {
     /// Number of states that were loaded from the store, of sessions with epochs.
     pub(crate) restores: Counter,
-    /// Epochs on which an estimator panicked.
+    /// Epochs on which an estimator panicked, and chunks on which a decoder did.
     pub(crate) quarantined: Counter,
     /// Committed epochs, by the status of their first answer.
     pub(crate) epochs: Family<Label, Counter>,
@@ -80,7 +80,7 @@ impl Counters {
         self.meters.restores.get()
     }
 
-    /// Number of epochs on which an estimator panicked.
+    /// Number of epochs on which an estimator panicked, and of chunks on which a decoder did.
     pub fn quarantined(&self) -> u64 {
         self.meters.quarantined.get()
     }

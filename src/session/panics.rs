@@ -19,10 +19,13 @@ pub(super) fn message(panic: &(dyn Any + Send)) -> String {
 mod tests {
     use crate::aiding::bases::BaseChoice;
     use crate::aiding::{AidingDesk, AidingLimits};
+    use crate::formats::receiver::RawxWriter;
     use crate::gnss::{GpsTime, Status};
+    use crate::session::raw::PANICS_AFTER;
     use crate::session::state::PANICS_AT_NS;
     use crate::session::{
-        Acknowledged, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
+        Acknowledged, NewSession, RawChunk, Recomputation, SequencedEpoch, SessionId,
+        SessionLimits, Sessions,
     };
     use crate::simulation::{Scenario, Simulator};
     use crate::store::Store;
@@ -108,5 +111,40 @@ mod tests {
         let again = Recomputation::open(store, aiding, &id, None).await.unwrap();
         let check = again.check().await.unwrap();
         assert!(check.is_same() && 40 < check.compared, "{check:?}");
+    }
+
+    /// A chunk on which a decoder panics is stored and answered without epochs. Sent again it is
+    /// known, and the next chunks bring their epochs.
+    #[tokio::test]
+    async fn a_chunk_that_fails_is_quarantined() {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let store = Store::open(&url).await.unwrap();
+        let sessions = desk(&store).await;
+        let id = created(&sessions).await;
+        let mut writer = RawxWriter::default();
+        let simulator = Simulator::new(Scenario { duration_s: 30.0, ..Scenario::open_sky() }, 1);
+        let frames: Vec<_> = simulator.map(|simulated| writer.frame(&simulated.rover)).collect();
+        let failing = [&frames[10..20].concat(), PANICS_AFTER].concat();
+        let contents = [frames[..10].concat(), failing, frames[20..].concat()];
+        let mut offset = 0;
+        let chunks = contents.map(|content| {
+            let chunk = RawChunk { offset, content: content.into(), is_end: false, near: None };
+            offset += chunk.content.len() as u64;
+            chunk
+        });
+        let mut numbers = Vec::new();
+        for (chunk, desk) in chunks.iter().zip([&sessions, &sessions, &desk(&store).await]) {
+            let answer = desk.receive(&id, chunk.clone()).await.unwrap();
+            assert_eq!(answer.raw_through, chunk.offset + chunk.content.len() as u64);
+            numbers.extend(answer.outcomes.iter().map(|outcome| outcome.seq));
+            let failed = answer.received.left_out.iter().filter(|part| part.first == chunk.offset);
+            let is_failing = chunk.content.ends_with(PANICS_AFTER);
+            assert_eq!(failed.count(), usize::from(is_failing), "{answer:?}");
+            assert!(desk.receive(&id, chunk.clone()).await.unwrap().resent);
+        }
+        let positioned: Vec<u64> = (1..=frames.len() as u64 - 10).collect();
+        assert_eq!(numbers, positioned);
+        assert_eq!(sessions.counts().quarantined(), 1);
     }
 }

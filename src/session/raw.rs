@@ -21,6 +21,11 @@ use super::EpochOutcome;
 const SILENCE_MS: i64 = 3_600_000;
 /// A stream is live if its epochs are within this time of the clock (s).
 const LIVE_S: f64 = 43_200.0;
+
+/// In unit tests decoders panic on chunks that end with these bytes.
+#[cfg(test)]
+pub(super) const PANICS_AFTER: &[u8] = b"a decoder panics here";
+
 /// A chunk of a receiver's stream.
 #[derive(Clone, Debug)]
 pub struct RawChunk {
@@ -112,19 +117,28 @@ impl Reception {
         }
     }
 
-    /// Decodes the new bytes of a chunk.
+    /// Decodes the new bytes of a chunk. After a panic another stream must
+    /// [begin after it](Self::begin_after).
     pub(super) fn take(
         &mut self,
         chunk: &RawChunk,
         known: usize,
         navigation: &Navigation,
     ) -> Result<Received, ReceptionError> {
+        #[cfg(test)]
+        assert!(!chunk.content.ends_with(PANICS_AFTER), "on purpose");
         let mut received = Received::default();
         self.stream.push(&chunk.content[known..], navigation, &mut received)?;
         if chunk.is_end {
             self.stream.finish(&mut received);
         }
         Ok(received)
+    }
+
+    /// Begins another stream after a chunk.
+    pub(super) fn begin_after(&mut self, chunk: &RawChunk) {
+        let through = chunk.offset + chunk.content.len() as u64;
+        self.stream = Stream::new(through, self.position.time);
     }
 
     /// Updates the position after a chunk that completed `epochs` epochs, numbered from

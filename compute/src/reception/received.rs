@@ -86,6 +86,13 @@ pub struct Received {
 }
 
 impl Received {
+    /// What is known of bytes on which the decoder failed. `at` is the offset of the first one.
+    pub fn of_failed_decoder(at: u64) -> Self {
+        let why = "the decoder failed, a fault of the service: the bytes are stored, not decoded";
+        let left_out = LeftOut { kind: None, why: why.to_owned(), count: 1, first: at };
+        Self { left_out: vec![left_out], ..Self::default() }
+    }
+
     /// Adds an epoch.
     ///
     /// # Errors

@@ -60,7 +60,8 @@ impl Task {
         self.receive_new(active, chunk).await
     }
 
-    /// Takes a chunk with new bytes.
+    /// Takes a chunk with new bytes. A chunk on which a decoder fails is stored without its epochs,
+    /// and ends its stream.
     async fn receive_new(
         &self,
         active: &mut Option<Active>,
@@ -73,17 +74,21 @@ impl Task {
         let channels = self.aiding.navigation.current_for(&self.device).navigation;
         let is_short = reception.stream.is_of_frames() && content.len() <= SHORT_BYTES;
         let work = move || {
-            let received = reception.take(&chunk, known, &channels);
+            let received = caught(|| reception.take(&chunk, known, &channels));
             (received, reception, chunk)
         };
         let (received, mut reception, chunk) = match is_short {
-            true => {
-                let failed = |message| SessionError::EstimatorFailed { message };
-                caught(work).map_err(failed)?
-            }
+            true => work(),
             false => self.solvers.run(Lane::RealTime, work).await?,
         };
-        let received = received.map_err(SessionError::Raw)?;
+        let received = match received {
+            Ok(received) => received.map_err(SessionError::Raw)?,
+            Err(panic) => {
+                self.count_failed_decoder(chunk.offset, &panic);
+                reception.begin_after(&chunk);
+                Received::of_failed_decoder(chunk.offset)
+            }
+        };
         let count = received.epochs.len();
         let count_refused = |_: &SessionError| self.counters.count_refused(count);
         let mut received = self.brought(received).await.inspect_err(count_refused)?;
@@ -171,7 +176,8 @@ impl Task {
         })
     }
 
-    /// Restores the stream from the store.
+    /// Restores the stream from the store. If a decoder fails on the stored bytes, another stream
+    /// begins after them.
     async fn reception(&self) -> Result<Reception, SessionError> {
         let Some(position) = self.store.raw_position(self.key).await? else {
             return Ok(Reception::fresh(self.clock.unix_ms()));
@@ -184,8 +190,19 @@ impl Task {
         let header = whole(self.store.raw_bytes(self.key, stream, header_end).await?);
         let bytes = whole(self.store.raw_bytes(self.key, tail, through).await?);
         let needed = Needed { header: stream..header_end, tail: tail..through };
-        let restore = move || Stream::restore(&needed, &header, &bytes, time);
-        let stream = self.solvers.run(Lane::Restore, restore).await?.map_err(SessionError::Raw)?;
+        let restore = move || caught(|| Stream::restore(&needed, &header, &bytes, time));
+        let stream = match self.solvers.run(Lane::Restore, restore).await? {
+            Ok(stream) => stream.map_err(SessionError::Raw)?,
+            Err(panic) => {
+                self.count_failed_decoder(tail, &panic);
+                Stream::new(through, time)
+            }
+        };
         Ok(Reception { stream, position })
+    }
+
+    fn count_failed_decoder(&self, offset: u64, panic: &str) {
+        tracing::error!(session = %self.id, offset, panic, "a decoder failed on raw bytes");
+        self.counters.meters.quarantined.inc();
     }
 }
