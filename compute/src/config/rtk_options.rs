@@ -8,12 +8,13 @@ pub struct RtkOptions {
     /// Initial standard deviation of a strong signal's pseudorange at zenith (m); a factor on it is
     /// learnt.
     pub pseudorange_sigma_m: f64,
-    /// Standard deviation added to a pseudorange at 42 dB-Hz (m); ten times larger at 20 dB less.
+    /// Standard deviation added to a pseudorange of the strongest signals of the rover, and at
+    /// 42 dB-Hz of the base (m); ten times larger at 20 dB less.
     pub pseudorange_cn0_sigma_m: f64,
     /// Standard deviation of a carrier phase: this, and this over sin(elevation), added in squares
     /// (m).
     pub carrier_sigma_m: f64,
-    /// Standard deviation added to a carrier phase at 42 dB-Hz (m); ten times larger at 20 dB less.
+    /// The same for a carrier phase (m).
     pub carrier_cn0_sigma_m: f64,
     /// Horizontal gradient of the ionosphere's vertical delay on L1 (m/m).
     pub ionosphere_gradient: f64,

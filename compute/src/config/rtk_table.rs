@@ -13,7 +13,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "differencing.pseudorange_cn0_sigma_m", unit: "m",
-        meaning: "pseudorange standard deviation added at 42 dB-Hz; ten times larger at 20 dB less",
+        meaning: "pseudorange deviation added for the strongest signals; tenfold at 20 dB less",
         allowed: "a number from 0 to 100",
         get: |o| o.rtk.pseudorange_cn0_sigma_m.to_string(),
         set: |o, text| number(text, 0.0, 100.0).map(|v| o.rtk.pseudorange_cn0_sigma_m = v),
@@ -27,7 +27,7 @@ pub(super) const RTK_TABLE: &[OptionSpecification] = &[
     },
     OptionSpecification {
         name: "differencing.carrier_cn0_sigma_m", unit: "m",
-        meaning: "carrier-phase standard deviation added at 42 dB-Hz; tenfold at 20 dB less",
+        meaning: "carrier-phase deviation added for the strongest signals; tenfold at 20 dB less",
         allowed: "a number from 0 to 1",
         get: |o| o.rtk.carrier_cn0_sigma_m.to_string(),
         set: |o, text| number(text, 0.0, 1.0).map(|v| o.rtk.carrier_cn0_sigma_m = v),

@@ -14,11 +14,13 @@
 //! rows, which is equivalent and needs no reference satellite.
 
 mod corrected;
-mod fading;
 mod pairing;
+mod signal_levels;
 mod variances;
 
-use crate::config::{PositioningOptions, TroposphereMapping, TroposphereModel};
+use crate::config::{
+    PositioningOptions, REFERENCE_CN0_DB_HZ, TroposphereMapping, TroposphereModel,
+};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
     Band, BaseStation, Constellation, Cycles, Ecef, Ephemeris, EphemerisIssue, Epoch, GpsTime,
@@ -37,8 +39,8 @@ use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
 use super::median::median;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 pub(super) use corrected::BaseClock;
-pub(super) use fading::SignalLevels;
 use pairing::{Pair, pairs};
+pub(super) use signal_levels::SignalLevels;
 use variances::{DifferenceVariances, PairQuality};
 
 /// Satellite states this close in time are extrapolated by velocity (s): a²t/2 is then 0.03 mm.
@@ -240,7 +242,10 @@ impl SingleDifferences {
                 constellation: satellite.constellation,
                 frequency_hz: pair.frequency_hz,
                 elevation_rad: look.elevation_rad,
-                cn0_db_hz: [levels.effective_db_hz(pair.rover), pair.base.cn0_db_hz],
+                relative_cn0_db: [
+                    levels.relative_db(pair.rover),
+                    pair.base.cn0_db_hz.map(|cn0_db_hz| cn0_db_hz - REFERENCE_CN0_DB_HZ),
+                ],
             };
             let difference = |(rover_m, base_m): (f64, f64), variance_m2: f64| Differenced {
                 range_m: (rover_m + rover_part_m) - (base_m + base_part_m),

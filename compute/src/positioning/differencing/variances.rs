@@ -1,6 +1,6 @@
 //! Variances of single differences.
 
-use crate::config::{PositioningOptions, REFERENCE_CN0_DB_HZ};
+use crate::config::PositioningOptions;
 use crate::gnss::Constellation;
 use crate::gnss::constants::GPS_L1_HZ;
 use crate::models::weights::{Cn0Term, ElevationTerm, MeasurementWeights};
@@ -29,8 +29,9 @@ pub(super) struct PairQuality {
     pub(super) constellation: Constellation,
     pub(super) frequency_hz: f64,
     pub(super) elevation_rad: f64,
-    /// C/N0 at rover and base (dB-Hz).
-    pub(super) cn0_db_hz: [Option<f64>; 2],
+    /// C/N0 at the rover relative to its strongest signals, and at the base relative to
+    /// 42 dB-Hz (dB).
+    pub(super) relative_cn0_db: [Option<f64>; 2],
 }
 
 impl DifferenceVariances {
@@ -65,7 +66,8 @@ impl DifferenceVariances {
     }
 
     fn receivers_m2(&self, weights: &MeasurementWeights, pair: &PairQuality) -> f64 {
-        pair.cn0_db_hz.iter().map(|cn0| weights.variance_m2(pair.elevation_rad, *cn0)).sum()
+        let relative = pair.relative_cn0_db.iter();
+        relative.map(|cn0_db| weights.variance_m2(pair.elevation_rad, *cn0_db)).sum()
     }
 
     fn path_m2(&self, pair: &PairQuality) -> f64 {
@@ -74,14 +76,11 @@ impl DifferenceVariances {
     }
 }
 
-/// a² + b²/sin²E + u²·10^(−(S−42)/10); the last term is zero without C/N0.
+/// a² + b²/sin²E + u²·10^(−S/10), S the relative C/N0 (dB); the last term is zero without C/N0.
 fn weights(a_m: f64, b_m: f64, cn0_sigma_m: f64) -> MeasurementWeights {
     MeasurementWeights {
         elevation: ElevationTerm::InverseSineSquared { a_m, b_m },
-        cn0: Cn0Term::SigmaEpsilon {
-            v_m2: 0.0,
-            c_m2_hz: cn0_sigma_m.powi(2) * 10_f64.powf(REFERENCE_CN0_DB_HZ / 10.0),
-        },
+        cn0: Cn0Term::SigmaEpsilon { v_m2: 0.0, c_m2_hz: cn0_sigma_m.powi(2) },
         cn0_if_missing_db_hz: f64::INFINITY,
     }
 }
@@ -96,7 +95,7 @@ mod tests {
             constellation: Constellation::Gps,
             frequency_hz: GPS_L1_HZ,
             elevation_rad: f64::to_radians(elevation_deg),
-            cn0_db_hz: [None; 2],
+            relative_cn0_db: [None; 2],
         }
     }
 

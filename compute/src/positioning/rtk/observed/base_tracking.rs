@@ -73,12 +73,12 @@ impl BaseTracking {
             return None;
         }
         self.last = Some(epoch.time);
-        self.levels.learn(epoch);
         let base = inputs.base.as_ref();
         let base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
         if base_changed_m.is_some() {
-            self.base = BaseMemory::default();
+            (self.base, self.levels) = (BaseMemory::default(), SignalLevels::default());
         }
+        self.levels.learn(epoch);
         if let Some(base) = base {
             self.base.take(base.epochs, epoch.time);
             self.base.know(base.station);
