@@ -35,17 +35,17 @@ pub(super) struct KeysArguments {
 
 #[derive(Debug, Subcommand)]
 enum Act {
-    /// Creates a key and prints its secret, once. From the first key on, every call needs one.
+    /// Creates a key and prints its secret once. As soon as a key exists, every call needs one.
     Create {
         /// Right: device (sends observations), read, operate (changes sessions and bases) or admin
         /// (changes keys); may be repeated.
         #[arg(long = "right", value_name = "RIGHT", required = true, value_delimiter = ',')]
         rights: Vec<String>,
-        /// A name for people.
+        /// A name that helps people to recognise the key.
         #[arg(long, value_name = "TEXT", default_value = "")]
         label: String,
-        /// To whom the key belongs: 1 to 63 lower-case letters, digits, - and _. The standard one
-        /// is the operator's tenant.
+        /// Tenant that owns the key: 1 to 63 lower-case letters, digits, - and _. Default: the
+        /// operator's tenant.
         #[arg(long, value_name = "NAME", default_value = OPERATOR, value_parser = tenant)]
         tenant: Tenant,
         /// Days until the key expires. Default: never.
@@ -60,7 +60,7 @@ enum Act {
         /// Only those of this tenant.
         #[arg(long, value_name = "NAME", value_parser = tenant)]
         tenant: Option<Tenant>,
-        /// Most entries.
+        /// Largest number of entries.
         #[arg(long, value_name = "N", default_value_t = 100)]
         count: usize,
     },

@@ -25,10 +25,10 @@ pub(super) struct SecretsArguments {
 
 #[derive(Debug, Subcommand)]
 enum Act {
-    /// Lists the ids of the keys, each with the number of its secrets.
+    /// Lists the ids of the keys, and how many secrets each of them encrypts.
     List,
-    /// Removes the secrets under a key that is lost. Their casters are then asked without a
-    /// password, and their webhooks are told nothing more. With the service stopped.
+    /// Removes the secrets that a lost key encrypts. Their casters are then contacted without a
+    /// password, and their webhooks are no longer called. The service must be stopped.
     Forget {
         /// Id of the key.
         #[arg(value_name = "KEY")]

@@ -20,32 +20,34 @@ const SECRETS_KEY: &str = "GRAPHFIX_SECRETS_KEY";
 /// Runs the service until it is interrupted.
 #[derive(Clone, Debug, Args)]
 pub(super) struct ServeArguments {
-    /// TOML file; its missing keys have their defaults, and the other arguments override it.
+    /// Configuration file (TOML). The other arguments override its values, and a value that is in
+    /// neither has its default.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CONFIG")]
     config: Option<PathBuf>,
-    /// Address and port; beyond loopback only once a key exists (graphfix keys create), and with
-    /// TLS. Default: 127.0.0.1:8080.
+    /// Address and port to listen on. An address other than loopback needs an existing key
+    /// (graphfix keys create), and TLS or --plaintext. Default: 127.0.0.1:8080.
     #[arg(long, value_name = "ADDRESS:PORT", env = "GRAPHFIX_LISTEN")]
     listen: Option<SocketAddr>,
-    /// Certificate of the service (PEM), behind it those up to its authority. With it the port
-    /// takes TLS only. New contents are used within seconds, without a restart. Default: none.
+    /// Certificate of the service (PEM), followed by the intermediate certificates. The port then
+    /// accepts TLS only. A changed file is read within seconds, without a restart. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CERTIFICATE")]
     tls_certificate: Option<PathBuf>,
     /// Private key of the certificate (PEM), without a password.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_KEY")]
     tls_key: Option<PathBuf>,
-    /// Authorities of clients (PEM): each client then needs a certificate that one of them has
-    /// signed, besides its key. Default: none.
+    /// Certificate authorities of clients (PEM). Each client then needs a certificate signed by one
+    /// of them, in addition to its key. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CLIENT_CA")]
     tls_client_ca: Option<PathBuf>,
-    /// Revocation lists of these authorities (PEM), one of each: certificates on them are refused.
-    /// New contents are used within seconds. Default: none.
+    /// Certificate revocation lists (PEM), one of each of these authorities. Certificates on them
+    /// are refused. A changed file is read within seconds. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_TLS_CLIENT_CRL")]
     tls_client_crl: Option<PathBuf>,
-    /// Listen beyond loopback without TLS, because a proxy or balancer before the service has it.
+    /// Listen on an address other than loopback without TLS. Use it if a proxy or load balancer in
+    /// front of the service terminates TLS.
     #[arg(long, env = "GRAPHFIX_PLAINTEXT")]
     plaintext: bool,
-    /// Name or address under which clients call the service, beside localhost; may be repeated.
+    /// Host name or address that clients use for the service, besides localhost; may be repeated.
     #[arg(long, value_name = "NAME", env = "GRAPHFIX_HOSTS", value_delimiter = ',')]
     host: Vec<String>,
     /// Name of this node in the log and in answers. Default: the host's name and a random suffix.
@@ -53,20 +55,20 @@ pub(super) struct ServeArguments {
     node: Option<String>,
     #[command(flatten)]
     database: DatabaseArgument,
-    /// Be a node of the cluster of the database, which is on Postgres; the other nodes reach this
-    /// one at the address, such as http://10.0.0.2:8080. Default: the service is alone.
+    /// Join the cluster of nodes on the database, which must be on Postgres. URL is the address at
+    /// which the other nodes reach this node, such as http://10.0.0.2:8080. Default: no cluster.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_CLUSTER")]
     cluster: Option<String>,
-    /// Authorities of the certificates of the other nodes (PEM). Default: those of browsers.
+    /// Certificate authorities of the other nodes (PEM). Default: those that browsers trust.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_CLUSTER_CA")]
     cluster_ca: Option<PathBuf>,
-    /// File of the key (64 hexadecimal digits) with which passwords at casters and secrets of
-    /// webhooks are encrypted before they are stored; GRAPHFIX_SECRETS_KEY may be the key itself.
-    /// Default: none.
+    /// File with the key (64 hexadecimal digits) that encrypts stored secrets: passwords for
+    /// casters and secrets of webhooks. The variable GRAPHFIX_SECRETS_KEY may contain the key
+    /// itself. Default: none.
     #[arg(long, value_name = "FILE", env = "GRAPHFIX_SECRETS_KEY_FILE")]
     secrets_key_file: Option<PathBuf>,
-    /// File of a former key: what is stored under it is encrypted with the key in force at the
-    /// start; may be repeated.
+    /// File with a former key. At the start, secrets that it has encrypted are encrypted again with
+    /// the present key; may be repeated.
     #[arg(
         long,
         value_name = "FILE",
@@ -74,15 +76,15 @@ pub(super) struct ServeArguments {
         value_delimiter = ','
     )]
     secrets_former_key_file: Vec<PathBuf>,
-    /// Host that the service may connect to for clients, such as a caster: HOST, HOST:PORT or
-    /// *.DOMAIN; may be repeated. Default: none.
+    /// Host to which the service may connect at the request of clients, such as a caster: HOST,
+    /// HOST:PORT or *.DOMAIN; may be repeated. Default: none.
     #[arg(long, value_name = "HOST", env = "GRAPHFIX_FETCH_HOSTS", value_delimiter = ',')]
     fetch_host: Vec<String>,
     /// Allow these hosts to have addresses of private networks.
     #[arg(long, env = "GRAPHFIX_FETCH_PRIVATE")]
     fetch_private: bool,
-    /// Address of RINEX navigation files that are fetched each hour, with placeholders of the day
-    /// such as {yyyy} and {ddd}; may be repeated.
+    /// URL of RINEX navigation files to fetch each hour, with placeholders for the date such as
+    /// {yyyy} and {ddd}; may be repeated.
     #[arg(long, value_name = "URL", env = "GRAPHFIX_NAV_ARCHIVES", value_delimiter = ' ')]
     nav_archive: Vec<String>,
     /// Phase centres of antennas (ANTEX), for sessions that name the rover's antenna.

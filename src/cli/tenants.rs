@@ -28,7 +28,7 @@ pub(super) struct TenantsArguments {
 
 #[derive(Debug, Subcommand)]
 enum Act {
-    /// Sets all quotas of a tenant: those that are not given end.
+    /// Sets all quotas of a tenant. A quota that is not given is removed.
     Set {
         /// Name of the tenant.
         #[arg(value_name = "NAME", value_parser = keys::tenant)]
@@ -36,20 +36,20 @@ enum Act {
         /// Sessions that may be stored, open and closed.
         #[arg(long, value_name = "N")]
         sessions: Option<u64>,
-        /// Epochs a second, over ten seconds.
+        /// Epochs per second, averaged over ten seconds.
         #[arg(long, value_name = "RATE", value_parser = number)]
         epochs_per_s: Option<f64>,
-        /// Processor time of the solvers a minute (s), also that of jobs.
+        /// Processor time of the solvers per minute (s), including that of jobs.
         #[arg(long, value_name = "SECONDS", value_parser = number)]
         cpu_s_per_minute: Option<f64>,
         /// Bytes of stored epochs and solutions, approximately.
         #[arg(long, value_name = "BYTES")]
         stored_bytes: Option<u64>,
-        /// Bytes of the files of jobs and uploads.
+        /// Bytes of the files of jobs and uploads that are stored.
         #[arg(long, value_name = "BYTES")]
         job_bytes: Option<u64>,
     },
-    /// Lists all tenants in order of their names, with what they have stored and may use.
+    /// Lists all tenants by name, with their quotas and their stored amounts.
     List,
 }
 
