@@ -17,6 +17,8 @@ pub(super) fn message(panic: &(dyn Any + Send)) -> String {
 
 #[cfg(test)]
 mod tests {
+    use tempfile::TempDir;
+
     use crate::aiding::bases::BaseChoice;
     use crate::aiding::{AidingDesk, AidingLimits};
     use crate::formats::receiver::RawxWriter;
@@ -36,6 +38,15 @@ mod tests {
     fn a_panic_becomes_its_message() {
         assert_eq!(caught(|| 7), Ok(7));
         assert_eq!(caught::<()>(|| panic!("singular at {}", 3)), Err("singular at 3".to_owned()));
+    }
+
+    /// A desk on a new database, which ends with its folder.
+    async fn opened() -> (TempDir, Store, Sessions) {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let store = Store::open(&url).await.unwrap();
+        let sessions = desk(&store).await;
+        (folder, store, sessions)
     }
 
     async fn desk(store: &Store) -> Sessions {
@@ -84,10 +95,7 @@ mod tests {
     /// positioned. A restart and a replay give the same answers.
     #[tokio::test]
     async fn an_epoch_that_fails_is_quarantined() {
-        let folder = tempfile::tempdir().unwrap();
-        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
-        let store = Store::open(&url).await.unwrap();
-        let sessions = desk(&store).await;
+        let (_folder, store, sessions) = opened().await;
         let (id, epochs) = (created(&sessions).await, drive(&sessions).await);
         let mut first = Vec::new();
         for batch in epochs[..20].chunks(7) {
@@ -117,10 +125,7 @@ mod tests {
     /// known, and the next chunks bring their epochs.
     #[tokio::test]
     async fn a_chunk_that_fails_is_quarantined() {
-        let folder = tempfile::tempdir().unwrap();
-        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
-        let store = Store::open(&url).await.unwrap();
-        let sessions = desk(&store).await;
+        let (_folder, store, sessions) = opened().await;
         let id = created(&sessions).await;
         let mut writer = RawxWriter::default();
         let simulator = Simulator::new(Scenario { duration_s: 30.0, ..Scenario::open_sky() }, 1);
