@@ -165,6 +165,19 @@ mod tests {
         assert!((relative + 19.0).abs() < 0.1, "{relative}");
     }
 
+    /// The median of 45, 30 and 40 dB-Hz, then one of three above it: 40 + 0.19 − 2·0.01 = 40.17
+    /// dB-Hz, in any order of the satellites.
+    #[test]
+    fn the_strongest_worked_by_hand() {
+        let mut seen = [(1, 45.0), (2, 30.0), (3, 40.0)];
+        for _ in 0..2 {
+            let levels = levels(&[(0.0, &seen), (1.0, &seen)]);
+            let relative = levels.relative_db(&observation(1, 45.0)).unwrap();
+            assert!((relative - (45.0 - 40.17)).abs() < 1e-9, "{relative}");
+            seen.reverse();
+        }
+    }
+
     /// A receiver that states C/N0 8 dB higher has the same variances.
     #[test]
     fn another_scale_of_cn0_changes_nothing() {
