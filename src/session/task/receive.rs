@@ -84,9 +84,10 @@ impl Task {
         let received = match received {
             Ok(received) => received.map_err(SessionError::Raw)?,
             Err(panic) => {
-                self.count_failed_decoder(chunk.offset, &panic);
+                let first = chunk.offset + known as u64;
+                self.count_failed_decoder(first, &panic);
                 reception.begin_after(&chunk);
-                Received::of_failed_decoder(chunk.offset)
+                Received::of_failed_decoder(first)
             }
         };
         let count = received.epochs.len();
