@@ -6,8 +6,11 @@ use std::f64::consts::TAU;
 use crate::lambda::success::log_determinant;
 use crate::lambda::success::scaled_erfc;
 
-/// Intervals of Simpson's rule for a tail, even.
-const TAIL_STEPS: i32 = 64;
+/// Most terms of the continued fraction of an incomplete beta function. It converges in some twenty
+/// where it is used.
+const FRACTION_TERMS: i32 = 200;
+/// Relative change at which that continued fraction has converged.
+const FRACTION_PRECISION: f64 = 1e-14;
 
 /// Ratio of second-best to best squared norm; infinite if the best is zero.
 pub(in crate::lambda) fn ratio(norms: &[f64]) -> Option<f64> {
@@ -69,8 +72,8 @@ pub(crate) fn odds_at_scale(norms: [f64; 2], entries: usize, scale: KnownScale) 
 /// P = (νs² + q₁)^−(ν+n)/2 / Σ_{z ∈ ℤⁿ} (νs² + ‖â−z‖²)^−(ν+n)/2: σ² is integrated out under the
 /// scaled inverse-χ² density with ν degrees of freedom and scale s². A best candidate that fits
 /// poorly (q₁ ≫ n) suggests a large σ² and so a lower probability. The tail beyond q_m again has
-/// the integers' mean density: with u = q/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ u^(n/2−1)
-/// (1−u)^(ν/2−1) du from u_m to one.
+/// the integers' mean density: with t = νs²/(νs² + q), π^(n/2)/Γ(n/2) |Q|^½ (νs²)^−ν/2 ∫ t^(ν/2−1)
+/// (1−t)^(n/2−1) dt from zero to t_m.
 ///
 /// Source: Betti, Crespi & Sansò (1993) for the integration; the tail is ours.
 fn scaled_posterior_probability(
@@ -83,17 +86,12 @@ fn scaled_posterior_probability(
     let (power, known) = (0.5 * freedom + half, freedom * variance);
     let found: f64 =
         norms.iter().map(|q| (power * ((known + best) / (known + q)).ln()).exp()).sum();
-    let begin = last / (known + last);
-    let density = |u: f64| u.powf(half - 1.0) * (1.0 - u).max(0.0).powf(0.5 * freedom - 1.0);
-    let step = (1.0 - begin) / f64::from(TAIL_STEPS);
-    let at = |k: i32| density(begin + f64::from(k) * step);
-    let inner: f64 = (1..TAIL_STEPS).map(|k| at(k) * if k % 2 == 1 { 4.0 } else { 2.0 }).sum();
-    let integral = (at(0) + inner + at(TAIL_STEPS)) * step / 3.0;
+    let log_integral = log_incomplete_beta(known / (known + last), 0.5 * freedom, half);
     let log_factor = half * PI.ln() - log_gamma_of_half(conditional_variances.len())
         + 0.5 * log_determinant(conditional_variances)
         - 0.5 * freedom * known.ln()
         + power * (known + best).ln();
-    1.0 / (found + log_factor.exp() * integral)
+    1.0 / (found + (log_factor + log_integral).exp())
 }
 
 /// ln Σ_{z ∈ ℤⁿ} f(‖â−z‖²): the density of the n floats under a flat prior over all integers, given
@@ -131,6 +129,45 @@ fn log_gamma(x: f64) -> f64 {
     }
     let series = 1.0 / (12.0 * a) - 1.0 / (360.0 * a.powi(3)) + 1.0 / (1260.0 * a.powi(5));
     (a - 0.5) * a.ln() - a + 0.5 * TAU.ln() + series - steps
+}
+
+/// ln ∫ t^(a−1) (1−t)^(b−1) dt from zero to `x`, for 0 < x < 1 and a, b > 0.
+///
+/// Above the mean a/(a + b), where the continued fraction converges slowly, it is the complement of
+/// the integral from `x` to one.
+///
+/// Source: DLMF 8.17.4 and 8.17.22 (<https://dlmf.nist.gov/8.17>).
+fn log_incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
+    let log_part = |x: f64, a: f64, b: f64| {
+        a * x.ln() + b * (-x).ln_1p() - a.ln() + beta_fraction(x, a, b).ln()
+    };
+    if x * (a + b + 2.0) < a + 1.0 {
+        return log_part(x, a, b);
+    }
+    let log_whole = log_gamma(a) + log_gamma(b) - log_gamma(a + b);
+    let complement = (log_part(1.0 - x, b, a) - log_whole).exp();
+    log_whole + (-complement).ln_1p()
+}
+
+/// The continued fraction 1/(1 + d₁/(1 + d₂/(1 + …))) of an incomplete beta function, by the
+/// products of Lentz (1976), *Applied Optics* 15, 668–671.
+fn beta_fraction(x: f64, a: f64, b: f64) -> f64 {
+    let (mut value, mut c, mut d) = (1.0, f64::INFINITY, 1.0);
+    for k in 1..FRACTION_TERMS {
+        let m = f64::from(k / 2);
+        let term = match k % 2 {
+            1 => -(a + m) * (a + b + m) / ((a + 2.0 * m) * (a + 2.0 * m + 1.0)) * x,
+            _ => m * (b - m) / ((a + 2.0 * m - 1.0) * (a + 2.0 * m)) * x,
+        };
+        d = (1.0 + term * d).recip();
+        c = 1.0 + term / c;
+        let factor = c * d;
+        value *= factor;
+        if (factor - 1.0).abs() < FRACTION_PRECISION {
+            break;
+        }
+    }
+    value
 }
 
 /// ln Γ(n/2) for n of at least one, by Γ(a + 1) = a·Γ(a).
@@ -213,6 +250,22 @@ mod tests {
         for (n, q) in [(1, 3.84146), (2, 5.99147), (5, 11.0705), (10, 18.3070)] {
             let survival = log_chi_squared_survival(n, q).exp();
             assert!((survival - 0.05).abs() < 1e-6, "n {n}: {survival}");
+        }
+    }
+
+    /// B_x(2, 3) = x²/2 − 2x³/3 + x⁴/4, B_x(½, ½) = 2·arcsin √x, B_x(½, 1) = 2√x; on both sides of the
+    /// mean.
+    #[test]
+    fn incomplete_beta_at_known_places() {
+        for x in [1e-9_f64, 0.05, 0.3, 0.41, 0.6, 0.97] {
+            let polynomial = x.powi(2) / 2.0 - 2.0 * x.powi(3) / 3.0 + x.powi(4) / 4.0;
+            let root = x.sqrt();
+            let known =
+                [(2.0, 3.0, polynomial), (0.5, 0.5, 2.0 * root.asin()), (0.5, 1.0, 2.0 * root)];
+            for (a, b, expected) in known {
+                let found = log_incomplete_beta(x, a, b);
+                assert!((found - f64::ln(expected)).abs() < 2e-9, "{x} {a} {b}: {found}");
+            }
         }
     }
 
