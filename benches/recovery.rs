@@ -6,6 +6,9 @@
 //!
 //! `GRAPHFIX_BENCH_SESSIONS=10000 GRAPHFIX_BENCH_EPOCHS=64 cargo bench --bench recovery`
 //!
+//! With `GRAPHFIX_BENCH_DAYS` the log on Postgres has the partitions of that many earlier days, as
+//! that of a service which has run for its retention. They are empty.
+//!
 //! While the sessions are filled, a stream brings an ephemeris every `GRAPHFIX_BENCH_STREAM_MS`, so
 //! that they were solved with many different sets of navigation data.
 
@@ -226,6 +229,29 @@ impl Place {
     }
 }
 
+/// Makes the partitions of as many days before today as the environment asks for.
+async fn make_days(url: &str) {
+    let days = number("GRAPHFIX_BENCH_DAYS", 0);
+    if days == 0 || !url.starts_with("postgres") {
+        return;
+    }
+    let mut server = PgConnection::connect(url).await.expect("the server answers");
+    for day in 1..=days {
+        for (table, unique) in [("epochs", "session, seq"), ("revisions", "session, seq, revision")]
+        {
+            let partition = format!("{table}_before_{day}");
+            let statements = format!(
+                "CREATE TABLE {partition} (LIKE {table}); \
+                 CREATE UNIQUE INDEX ON {partition} ({unique}); \
+                 DO $$ BEGIN EXECUTE format('ALTER TABLE {table} ATTACH PARTITION {partition} \
+                 FOR VALUES IN (%L)', CURRENT_DATE - {day}); END $$"
+            );
+            let made = sqlx::raw_sql(&statements).execute(&mut server).await;
+            made.expect("a partition is made");
+        }
+    }
+}
+
 /// All sessions push an epoch at once. Prints when they are answered.
 async fn storm(sessions: &Sessions, drive: &Drive, ids: &[SessionId]) {
     let (start, before) = (Instant::now(), cpu());
@@ -287,6 +313,7 @@ async fn measure(count: usize) {
     let observations = drive.epochs[0].observations.len();
     println!("{count} fgo sessions, {observations} observations an epoch");
     let (store, sessions, aiding) = desk(&place.url(LIVE_DATABASE), &drive, count).await;
+    make_days(&place.url(LIVE_DATABASE)).await;
     let ids = created(&sessions, count).await;
     let start = Instant::now();
     let filling = each(count, CONCURRENT, |index| {

@@ -25,6 +25,8 @@ pub(super) struct EpochRules {
     pub(super) observations_max: usize,
     /// The present time.
     pub(super) now: GpsTime,
+    /// The present day, since 1970-01-01 UTC. The epochs are stored with it.
+    pub(super) day: i64,
     /// Time that an epoch may be ahead of `now` (s).
     pub(super) future_s: u64,
     /// Processor time that a replay may take. The state is stored when the epochs since take more.
@@ -131,11 +133,16 @@ impl SolvedBatch {
 
     /// Encodes the state after the last epoch, if it is to be stored.
     pub(super) fn finish(&mut self, rules: &EpochRules) {
-        let state = &mut self.state;
+        let (state, has_rows) = (&mut self.state, !self.rows.is_empty());
         let is_long = EPOCHS_PER_SNAPSHOT <= state.unsaved || rules.replay_max < state.unsaved_time;
-        if is_long || (rules.is_new_day && !self.rows.is_empty()) {
+        // The clock was set back.
+        let is_earlier = state.since_day.is_some_and(|day| rules.day < day);
+        if is_long || has_rows && (rules.is_new_day || is_earlier) {
+            state.since_day = Some(rules.day);
             self.snapshot = state.encoded();
             state.note_stored();
+        } else if state.since_day.is_none() && has_rows && state.unsaved == self.rows.len() {
+            state.since_day = Some(rules.day);
         }
     }
 

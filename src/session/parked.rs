@@ -102,7 +102,8 @@ impl ParkedState {
 
     /// The state for the store.
     pub(super) fn into_snapshot(self) -> EncodedSnapshot {
-        EncodedSnapshot::new(self.seq, self.configuration_hash, seal(self.content))
+        let (hash, since_day) = (self.configuration_hash, self.carried.since_day());
+        EncodedSnapshot::new(self.seq, hash, seal(self.content), since_day)
     }
 
     /// Length of its content (bytes).

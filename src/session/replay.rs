@@ -351,16 +351,18 @@ async fn configuration_of(
 /// but not the same bit by bit.
 pub(super) async fn restored(
     replay: &Replay,
-    StoredState { snapshot, epochs, .. }: StoredState,
+    stored: StoredState,
     configuration: &Configuration,
 ) -> Result<State, SessionError> {
+    let StoredState { snapshot, since_day, epochs, .. } = stored;
     let mut is_complete = epochs.len() < PAGE;
     let resumed = match snapshot {
         Some(snapshot) => replay.resumed(snapshot, epochs).await?,
         None => None,
     };
     let (mut state, mut after) = match resumed {
-        Some(state) => {
+        Some(mut state) => {
+            state.since_day = since_day;
             let last = state.last_seq();
             (state, last)
         }

@@ -67,6 +67,9 @@ pub(super) struct State {
     pub(super) unsaved: usize,
     /// Processor time in which they were computed. A replay would need it again.
     pub(super) unsaved_time: Duration,
+    /// No epoch since the state was last stored has arrived before this day (since 1970-01-01 UTC);
+    /// `None` if such a day is not known.
+    pub(super) since_day: Option<i64>,
     /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
     /// epoch after a restore is stored whole.
     pub(super) reference: Option<EpochReference>,
@@ -80,6 +83,7 @@ pub(super) struct State {
 pub(super) struct Carried {
     unsaved: usize,
     unsaved_time: Duration,
+    since_day: Option<i64>,
     reference: Option<EpochReference>,
     first_answers: VecDeque<(u64, FirstAnswer)>,
 }
@@ -88,6 +92,11 @@ impl Carried {
     /// Processor time that a replay of the epochs since the state was stored would take.
     pub(super) fn unsaved_time(&self) -> Duration {
         self.unsaved_time
+    }
+
+    /// See [`State::since_day`].
+    pub(super) fn since_day(&self) -> Option<i64> {
+        self.since_day
     }
 
     /// Bytes of memory.
@@ -107,6 +116,7 @@ clone_fields!(State {
     unrevised,
     unsaved,
     unsaved_time,
+    since_day,
     reference,
     first_answers,
 });
@@ -129,6 +139,7 @@ impl State {
             unrevised: VecDeque::new(),
             unsaved: 0,
             unsaved_time: Duration::ZERO,
+            since_day: None,
             reference: None,
             first_answers: VecDeque::new(),
         }
@@ -349,6 +360,7 @@ impl State {
         Carried {
             unsaved: self.unsaved,
             unsaved_time: self.unsaved_time,
+            since_day: self.since_day,
             reference: self.reference.clone(),
             first_answers: self.first_answers.clone(),
         }
@@ -356,14 +368,15 @@ impl State {
 
     /// The decoded state, with the values that were carried besides it.
     pub(super) fn with(self, carried: Carried) -> Self {
-        let Carried { unsaved, unsaved_time, reference, first_answers } = carried;
-        Self { unsaved, unsaved_time, reference, first_answers, ..self }
+        let Carried { unsaved, unsaved_time, since_day, reference, first_answers } = carried;
+        Self { unsaved, unsaved_time, since_day, reference, first_answers, ..self }
     }
 
     /// The encoded state; `None` before the first epoch.
     pub(super) fn encoded(&self) -> Option<EncodedSnapshot> {
         let (seq, content) = self.unsealed(Vec::new())?;
-        Some(EncodedSnapshot::new(seq, self.configuration_hash.clone(), seal(content)))
+        let hash = self.configuration_hash.clone();
+        Some(EncodedSnapshot::new(seq, hash, seal(content), self.since_day))
     }
 
     /// The content of the encoded state, not yet sealed, in a buffer, and the number of its last
@@ -437,6 +450,7 @@ impl State {
             unrevised,
             unsaved: 0,
             unsaved_time: Duration::ZERO,
+            since_day: None,
             reference: None,
             first_answers: VecDeque::new(),
         })

@@ -29,6 +29,8 @@ pub struct StoredEpoch {
 pub(crate) struct StoredState {
     /// The newest snapshot.
     pub(crate) snapshot: Option<StoredSnapshot>,
+    /// All epochs after the snapshot arrived on this day (since 1970-01-01 UTC) or later, if known.
+    pub(crate) since_day: Option<i64>,
     /// Whether the session may have begun a new arc.
     pub(crate) has_arcs: bool,
     /// The first epochs after the snapshot; none without one.
@@ -36,9 +38,19 @@ pub(crate) struct StoredState {
 }
 
 /// The newest snapshot of a session, and whether it has arcs.
-const SELECT_STATE: &str = "SELECT seq, configuration_hash, content, \
+const SELECT_STATE: &str = "SELECT seq, configuration_hash, content, since_day, \
     EXISTS (SELECT 1 FROM session_arcs a WHERE a.session = $1) AS has_arcs \
     FROM snapshots WHERE session = $1";
+
+/// A row of [`SELECT_STATE`].
+#[derive(sqlx::FromRow)]
+struct RawState {
+    seq: i64,
+    configuration_hash: String,
+    content: Vec<u8>,
+    since_day: Option<i32>,
+    has_arcs: bool,
+}
 
 impl StoredEpoch {
     /// Whether `epoch` equals the stored one, bit by bit.
@@ -87,6 +99,15 @@ macro_rules! select_epochs {
     };
 }
 
+/// The first `$3` epochs of a session after number `$2`.
+const SELECT_AFTER: &str = select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3");
+/// The same on Postgres, of those that arrived on day `$4` or later: from fewer partitions. Rows
+/// without a day are older ones that are kept for longer.
+const SELECT_AFTER_ON: &str = select_epochs!(
+    "AND e.seq > $2 AND (e.day >= DATE '1970-01-01' + $4 OR e.day IS NULL) \
+     ORDER BY e.seq LIMIT $3"
+);
+
 impl Store {
     /// The last `count` epochs of a session with their real-time answers, the newest first.
     ///
@@ -123,7 +144,7 @@ impl Store {
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let after = after.map_or(-1, |seq| i64::try_from(seq).unwrap_or(i64::MAX));
         let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3"),
+            SELECT_AFTER,
         )
         .bind(session.0)
         .bind(after)
@@ -144,33 +165,35 @@ impl Store {
         session: SessionKey,
         count: usize,
     ) -> Result<StoredState, StoreError> {
+        let has_partitions = matches!(self.pool, Pool::Postgres { .. });
         let read = reading!(&self.pool, pool => {
             let reading = async {
                 let mut connection = pool.acquire().await?;
-                let snapshot: Option<(i64, String, Vec<u8>, bool)> =
-                    sqlx::query_as(SELECT_STATE)
-                        .bind(session.0)
-                        .fetch_optional(&mut *connection)
-                        .await?;
-                let Some(snapshot) = snapshot else { return Ok(None) };
-                let rows: Vec<RawEpoch> =
-                    sqlx::query_as(select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3"))
-                        .bind(session.0)
-                        .bind(snapshot.0)
-                        .bind(count as i64)
-                        .fetch_all(&mut *connection)
-                        .await?;
-                Ok::<_, sqlx::Error>(Some((snapshot, rows)))
+                let select = sqlx::query_as(SELECT_STATE).bind(session.0);
+                let state: Option<RawState> = select.fetch_optional(&mut *connection).await?;
+                let Some(state) = state else { return Ok(None) };
+                let day = state.since_day.filter(|_| has_partitions);
+                let sql = if day.is_some() { SELECT_AFTER_ON } else { SELECT_AFTER };
+                let mut select =
+                    sqlx::query_as(sql).bind(session.0).bind(state.seq).bind(count as i64);
+                if let Some(day) = day {
+                    select = select.bind(day);
+                }
+                let rows: Vec<RawEpoch> = select.fetch_all(&mut *connection).await?;
+                Ok::<_, sqlx::Error>(Some((state, rows)))
             };
             reading.await
         });
         let read = read.map_err(StoreError::database("reading a session's state"))?;
-        let Some(((seq, hash, content, has_arcs), rows)) = read else {
-            return Ok(StoredState { snapshot: None, has_arcs: true, epochs: Vec::new() });
+        let Some((state, rows)) = read else {
+            let (snapshot, since_day, epochs) = (None, None, Vec::new());
+            return Ok(StoredState { snapshot, since_day, has_arcs: true, epochs });
         };
-        let snapshot = StoredSnapshot { seq: seq as u64, configuration_hash: hash.into(), content };
-        let epochs = self.decoded(session, rows).await?;
-        Ok(StoredState { snapshot: Some(snapshot), has_arcs, epochs })
+        let RawState { seq, configuration_hash, content, since_day, has_arcs } = state;
+        let (seq, configuration_hash) = (seq as u64, configuration_hash.into());
+        let snapshot = Some(StoredSnapshot { seq, configuration_hash, content });
+        let (since_day, epochs) = (since_day.map(i64::from), self.decoded(session, rows).await?);
+        Ok(StoredState { snapshot, since_day, has_arcs, epochs })
     }
 
     /// Number of the epoch that is followed by the last `count` epochs of the session, if there are

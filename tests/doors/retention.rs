@@ -4,9 +4,11 @@
 use axum::http::StatusCode;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::clock::Clock;
+use graphfix::gnss::Navigation;
 use graphfix::session::{
     EpochOutcome, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits, Sessions,
 };
+use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::Store;
 use serde_json::json;
 
@@ -20,6 +22,7 @@ on_both_databases!(
     a_closed_session_expires,
     a_step_of_the_clock_removes_nothing,
     a_replay_needs_a_readable_snapshot,
+    a_restore_finds_epochs_of_earlier_days,
 );
 
 const MS_PER_DAY: i64 = 86_400_000;
@@ -325,4 +328,47 @@ async fn a_step_of_the_clock_removes_nothing(database: Database) {
     restarted.remove_expired().await.unwrap();
     assert_eq!(restarted.clock_ahead(), None);
     assert!(2 * PER_DAY < oldest().await.unwrap());
+}
+
+/// A session's state is stored on one day, and the clock is then set three days back. On Postgres a
+/// restore reads only the partitions since the state was stored. So the state is stored again with
+/// the first epochs of the earlier day, and a restore after the clock is right again finds all.
+async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
+    // Ten days after the epochs, which may not be of the future.
+    let now = START + 10 * MS_PER_DAY;
+    let (store, clock) = (database.store().await, Clock::at(now));
+    let scenario = Scenario { base: None, duration_s: 340.0, ..Scenario::open_sky() };
+    let simulator = Simulator::new(scenario, 3);
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let navigation = Navigation::clone(simulator.navigation());
+    aiding.navigation.push(navigation, "simulation").await.unwrap();
+    let rover = simulator.enumerate();
+    let mut epochs =
+        rover.map(|(k, epoch)| SequencedEpoch { seq: k as u64 + 1, epoch: epoch.rover });
+    let desk = || {
+        let limits = SessionLimits::service();
+        Sessions::open_at(store.clone(), aiding.clone(), limits, clock.clone())
+    };
+    let sessions = desk();
+    // With a retention, a state is stored on each new day anyway.
+    let retention_days = Some(0);
+    let session = NewSession { mode: "ekf".to_owned(), retention_days, ..new_session() };
+    let id = sessions.create(session).await.unwrap().id;
+    let since = |day: i64| format!("snapshots WHERE since_day = {day}");
+    let today = now / MS_PER_DAY;
+    for (days_back, count) in [(0, 300), (3, 10), (3, 10), (0, 10)] {
+        clock.step(now - days_back * MS_PER_DAY);
+        let pushed = epochs.by_ref().take(count).collect();
+        let submitted = sessions.submit(&id, pushed).await.unwrap();
+        let refused = submitted.outcomes.iter().find(|outcome| outcome.result.is_err());
+        assert!(refused.is_none(), "{refused:?}");
+        let stored_on = if submitted.durable_through <= Some(300) { today } else { today - 3 };
+        let through = submitted.durable_through;
+        assert_eq!(database.count(&since(stored_on)).await, 1, "{through:?}");
+    }
+    // As after a crash: the first desk stores nothing more.
+    let next = outcome(&desk(), &id, epochs.next().unwrap()).await.result.unwrap();
+    assert_eq!(next.solution.seq, 331);
+    let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
+    assert!(check.is_same() && 331 <= check.compared, "{check:?}");
 }

@@ -297,15 +297,10 @@ impl Task {
         }
         let stored = self.lookup(&plans).await?;
         let keeps_snapshot = snapshot.is_some() && rules.keeps_snapshot;
-        let batch = Batch {
-            epochs: rows,
-            revisions,
-            snapshot,
-            keeps_snapshot,
-            raw,
-            is_patient,
-            ..self.batch(active.as_ref().and_then(Active::last_seq))
-        };
+        let (day, epochs) = (Some(rules.day), rows);
+        let batch = self.batch(active.as_ref().and_then(Active::last_seq));
+        let batch = Batch { day, epochs, revisions, snapshot, keeps_snapshot, ..batch };
+        let batch = Batch { raw, is_patient, ..batch };
         if !batch.is_empty() {
             let begun = Instant::now();
             let committed = self.store.commit(batch).await;

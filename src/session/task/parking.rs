@@ -51,6 +51,7 @@ impl Task {
         EpochRules {
             observations_max: self.observations_per_epoch,
             now: gps_time(self.clock.unix_ms()),
+            day: self.clock.day(),
             future_s: self.future_s,
             replay_max: self.replay_max(),
             keeps_snapshot,

@@ -252,12 +252,24 @@ pub struct EncodedSnapshot {
     pub(super) seq: i64,
     pub(super) configuration_hash: Arc<str>,
     pub(super) content: Vec<u8>,
+    pub(super) since_day: Option<i64>,
 }
 
 impl EncodedSnapshot {
-    /// The state after epoch `seq`, with the hash of its configuration.
-    pub fn new(seq: u64, configuration_hash: Arc<str>, content: Vec<u8>) -> Self {
-        Self { seq: number(seq), configuration_hash, content }
+    /// The state after epoch `seq`, with the hash of its configuration. All later epochs arrive on
+    /// `since_day` (since 1970-01-01 UTC) or a later day, if it is known.
+    pub fn new(
+        seq: u64,
+        configuration_hash: Arc<str>,
+        content: Vec<u8>,
+        since_day: Option<i64>,
+    ) -> Self {
+        Self { seq: number(seq), configuration_hash, content, since_day }
+    }
+
+    /// The day as it is stored.
+    pub(super) fn stored_day(&self) -> Option<i32> {
+        self.since_day.and_then(|day| i32::try_from(day).ok())
     }
 }
 

@@ -67,9 +67,10 @@ const POSTGRES_REVISIONS: &str = concat!(
 );
 /// The newest state is kept, in whatever order the writers commit.
 pub(super) const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots \
-    (session, seq, configuration_hash, content) VALUES ($1, $2, $3, $4) \
+    (session, seq, configuration_hash, content, since_day) VALUES ($1, $2, $3, $4, $5) \
     ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
-    configuration_hash = excluded.configuration_hash, content = excluded.content \
+    configuration_hash = excluded.configuration_hash, content = excluded.content, \
+    since_day = excluded.since_day \
     WHERE snapshots.seq <= excluded.seq";
 /// The first state of a day stays.
 pub(super) const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
@@ -221,6 +222,7 @@ async fn write_changes(
                 .bind(snapshot.seq)
                 .bind(&*snapshot.configuration_hash)
                 .bind(&snapshot.content[..])
+                .bind(snapshot.stored_day())
                 .execute(&mut *transaction)
                 .await?;
         }

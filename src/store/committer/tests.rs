@@ -157,7 +157,7 @@ async fn a_transaction_has_a_limit_of_bytes() {
     let (sender, mut inbox) = mpsc::channel(QUEUE);
     let large = |session| {
         let content = vec![0; BYTES_PER_TRANSACTION / 4];
-        let snapshot = Some(EncodedSnapshot::new(1, "c0ffee".into(), content));
+        let snapshot = Some(EncodedSnapshot::new(1, "c0ffee".into(), content, None));
         Message::Commit(Request {
             batch: Arc::new(Batch { snapshot, ..batch(session) }),
             reply: oneshot::channel().0,

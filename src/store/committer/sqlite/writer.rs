@@ -242,8 +242,8 @@ impl<'c> Writer<'c> {
         snapshot: &EncodedSnapshot,
         kept_on: Option<i64>,
     ) -> rusqlite::Result<()> {
-        let EncodedSnapshot { seq, configuration_hash: hash, content } = snapshot;
-        let row = (session, seq, &**hash, content);
+        let EncodedSnapshot { seq, configuration_hash: hash, content, .. } = snapshot;
+        let row = (session, seq, &**hash, content, snapshot.stored_day());
         self.prepared(UPSERT_SNAPSHOT)?.execute(row)?;
         if let Some(day) = kept_on {
             let row = (session, day, seq, &**hash, content);
