@@ -2,7 +2,6 @@
 //! in the table of calls.
 
 use std::collections::BTreeSet;
-use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::{Request, Response, StatusCode};
@@ -16,6 +15,7 @@ use graphfix::grpc::v1::solutions_client::SolutionsClient;
 use graphfix::keys::{Right, Rights};
 use prost::Message;
 use serde_json::{Value, json};
+use tokio::sync::Notify;
 use tonic::service::Interceptor;
 use tonic::service::interceptor::InterceptedService;
 use tonic::{Status, Streaming};
@@ -488,12 +488,16 @@ async fn answers_beside_a_revocation_are_whole(database: Database) {
     let admin = first_key(&doors).await;
     let key = created(&doors, Some(&admin), json!({"rights": ["read"]})).await;
     let path = format!("/v1/sessions/{session}/solutions");
+    let is_used = Notify::new();
     let ask = async || {
         let mut whole = 0;
         loop {
             let (status, answer) = asked(&doors, Some(&key), "GET", &path, json!(null)).await;
             match status.as_u16() {
-                200 => assert_eq!(answer["solutions"].as_array().map(Vec::len), Some(200)),
+                200 => {
+                    assert_eq!(answer["solutions"].as_array().map(Vec::len), Some(200));
+                    is_used.notify_one();
+                }
                 _ => {
                     assert_eq!((status.as_u16(), code(&answer)), (401, "KEY_REVOKED"), "{answer}");
                     return whole;
@@ -503,7 +507,7 @@ async fn answers_beside_a_revocation_are_whole(database: Database) {
         }
     };
     let revoke = async {
-        tokio::time::sleep(Duration::from_millis(50)).await;
+        is_used.notified().await;
         let path = format!("/v1/keys/{}", key.id);
         asked(&doors, Some(&admin), "DELETE", &path, json!(null)).await
     };
