@@ -8,7 +8,7 @@ use crate::store::StoredNavigation;
 use super::devices::{Devices, Owned, coefficients, contains_coefficients};
 use super::shared::Shared;
 use super::trust::{AGREED, Trust, trust};
-use super::views::Views;
+use super::views::DeviceViews;
 
 /// The navigation data after one push. They never change.
 #[derive(Clone, Debug, Default)]
@@ -25,7 +25,7 @@ pub(super) struct State {
     pub(super) push: u64,
     pub(super) shared: Shared,
     pub(super) devices: Devices,
-    views: Mutex<Views>,
+    views: Mutex<DeviceViews>,
 }
 
 /// The accepted part of a push of one source, and the data that end because of it.

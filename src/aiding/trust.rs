@@ -25,7 +25,7 @@ pub(crate) const OF_BASE: &str = "base ";
 /// Prefix of the sources that are tenants. The name of the tenant follows.
 pub(super) const TENANT_PREFIX: &str = "device tenant ";
 /// Source of the data of devices in earlier versions, which served all sessions at once.
-const FORMER_DEVICE: &str = "device";
+const DEVICE_OF_EARLIER_VERSIONS: &str = "device";
 /// Two ephemerides contradict each other if the satellite's positions or clocks by them differ by
 /// more (m). Consecutive broadcasts differ by some metres at times for which both are valid.
 const CONTRADICTION_M: f64 = 100.0;
@@ -52,7 +52,7 @@ pub(super) enum Trust {
 /// The trust in a source.
 pub(super) fn trust(source: &str) -> Trust {
     match source {
-        UPLOAD | FORMER_DEVICE => Trust::Offer,
+        UPLOAD | DEVICE_OF_EARLIER_VERSIONS => Trust::Offer,
         AGREED => Trust::Agreed,
         _ if source.starts_with(OWNER_PREFIX) => Trust::Device,
         _ if source.starts_with(OF_BASE) => Trust::Offer,
@@ -184,6 +184,6 @@ mod tests {
     fn sources_have_an_order() {
         let sources = [&*device("a"), "base ntrip://caster/B", AGREED, "https://archive/brdc.rnx"];
         assert!(sources.windows(2).all(|pair| trust(pair[0]) < trust(pair[1])));
-        assert_eq!(trust(UPLOAD), trust(FORMER_DEVICE));
+        assert_eq!(trust(UPLOAD), trust(DEVICE_OF_EARLIER_VERSIONS));
     }
 }

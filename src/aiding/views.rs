@@ -22,7 +22,7 @@ struct View {
 
 /// Views by device, up to a limit of their memory.
 #[derive(Default)]
-pub(super) struct Views {
+pub(super) struct DeviceViews {
     views: BTreeMap<Arc<str>, View>,
     /// The devices by the numbers of their views: the oldest view first.
     by_number: BTreeMap<u64, Arc<str>>,
@@ -31,7 +31,7 @@ pub(super) struct Views {
     bytes: usize,
 }
 
-impl Views {
+impl DeviceViews {
     pub(super) fn get(&self, device: &str) -> Option<Arc<Navigation>> {
         self.views.get(device).map(|view| view.navigation.clone())
     }
@@ -72,7 +72,7 @@ mod tests {
 
     #[test]
     fn views_have_a_limit() {
-        let mut views = Views::default();
+        let mut views = DeviceViews::default();
         let own = Navigation::default();
         let most = BYTES_MAX / OVERHEAD;
         for number in 0..2 * most {
@@ -91,7 +91,7 @@ mod tests {
     /// other devices are removed.
     #[test]
     fn a_device_has_one_view() {
-        let (mut views, own) = (Views::default(), Navigation::default());
+        let (mut views, own) = (DeviceViews::default(), Navigation::default());
         let most = BYTES_MAX / OVERHEAD;
         views.insert("other", Arc::default(), &own);
         for _ in 0..4 * most {

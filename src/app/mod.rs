@@ -141,7 +141,7 @@ fn run_in_cluster(
 ) {
     let (leading, feeds) = (cluster.clone(), feeds.clone());
     cluster.run(async move {
-        leading.wait_to_lead().await;
+        leading.until_leader().await;
         feeds.fill_bases();
         if let Err(error) = feeds.bring_navigation(sources, &connector) {
             tracing::error!(%error, "the sources of ephemerides cannot start");

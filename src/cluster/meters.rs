@@ -8,7 +8,7 @@ pub(crate) struct ClusterMeters {
     /// Nodes that are alive.
     pub(crate) nodes: Gauge,
     /// 1 while this node leads.
-    pub(crate) leads: Gauge,
+    pub(crate) is_leader: Gauge,
     /// Leases of other nodes that this one has ended.
     pub(crate) ended_leases: Counter,
     /// Requests that this node has forwarded to another.

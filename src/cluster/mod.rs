@@ -41,7 +41,7 @@ struct Desk {
     store: Store,
     own: i64,
     members: watch::Sender<Members>,
-    leads: watch::Sender<bool>,
+    is_leader: watch::Sender<bool>,
     meters: ClusterMeters,
     tasks: Mutex<JoinSet<()>>,
 }
@@ -58,7 +58,7 @@ impl Cluster {
             store: store.clone(),
             own,
             members: watch::Sender::default(),
-            leads: watch::Sender::new(false),
+            is_leader: watch::Sender::new(false),
             meters: ClusterMeters::default(),
             tasks: Mutex::default(),
         });
@@ -71,14 +71,14 @@ impl Cluster {
     }
 
     /// Whether this node leads.
-    pub(crate) fn leads(&self) -> bool {
-        *self.0.leads.borrow()
+    pub(crate) fn is_leader(&self) -> bool {
+        *self.0.is_leader.borrow()
     }
 
     /// Waits until this node leads. It then leads until it ends.
-    pub(crate) async fn wait_to_lead(&self) {
+    pub(crate) async fn until_leader(&self) {
         // Err: the desk no longer exists.
-        self.0.leads.subscribe().wait_for(|leads| *leads).await.ok();
+        self.0.is_leader.subscribe().wait_for(|is_leader| *is_leader).await.ok();
     }
 
     /// The leader, if it is alive.
@@ -187,15 +187,15 @@ impl Desk {
         if !is_alive(members.leader) && self.store.take_lead(members.leader).await? {
             members = self.read().await?;
         }
-        if members.leader == self.own && !self.store.leads() {
+        if members.leader == self.own && !self.store.is_leader() {
             // Everything that the former leader has stored must be known first.
             aiding.follow().await?;
-            self.store.lead();
-            self.leads.send_replace(true);
+            self.store.become_leader();
+            self.is_leader.send_replace(true);
             tracing::info!(node = self.store.node(), "this node leads the cluster");
         }
         self.meters.nodes.set(members.nodes.len() as i64);
-        self.meters.leads.set(i64::from(self.store.leads()));
+        self.meters.is_leader.set(i64::from(self.store.is_leader()));
         self.members.send_replace(members);
         Ok(())
     }

@@ -209,7 +209,7 @@ fn write_cluster(Page(registry): &mut Page, meters: &ClusterMeters) {
     let help = "Live nodes of the cluster, as this one knows them";
     registry.register("cluster_nodes", help, meters.nodes.clone());
     let help = "1 while this node leads the cluster, otherwise 0";
-    registry.register("cluster_leads", help, meters.leads.clone());
+    registry.register("cluster_leads", help, meters.is_leader.clone());
     let help = "Leases of other nodes that this one has ended";
     registry.register("cluster_ended_leases", help, meters.ended_leases.clone());
     let help = "Requests sent on to another node";

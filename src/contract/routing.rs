@@ -115,7 +115,7 @@ impl Service {
 
 /// The leader, if it is another node.
 fn leader(cluster: &Cluster) -> Result<Option<NodeRow>, Refusal> {
-    if cluster.leads() {
+    if cluster.is_leader() {
         return Ok(None);
     }
     let leader = cluster.leader().and_then(|leader| cluster.other(leader.fence));

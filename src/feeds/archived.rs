@@ -10,7 +10,7 @@ use crate::gnss::GpsTime;
 
 use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::web::{self, Fetched, Url, Validators, WebError};
-use super::{ArchiveTemplate, Connector, Tries};
+use super::{ArchiveTemplate, Attempts, Connector};
 
 /// Most files of one request (a month of daily files, or a day of hourly ones), and most bytes of
 /// them together, as received.
@@ -94,14 +94,14 @@ pub(crate) async fn files(
 
 /// The content of a file, with several attempts; `None` if the host does not have the file.
 async fn tried(connector: &Connector, url: &Url) -> Result<Option<Vec<u8>>, WebError> {
-    let (known, mut tries) = (Validators::default(), Tries::new());
+    let (known, mut attempts) = (Validators::default(), Attempts::new());
     loop {
         let error = match web::fetch(connector, url, &known, PACKED_LIMIT).await {
             Ok(Fetched::New { content, .. }) => return Ok(Some(content)),
             Ok(Fetched::Unchanged) | Err(WebError::NotFound { .. }) => return Ok(None),
             Err(error) => error,
         };
-        match tries.delay_after(&error) {
+        match attempts.delay_after(&error) {
             Some(delay) => sleep(delay).await,
             None => return Err(error),
         }

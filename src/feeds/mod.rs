@@ -18,6 +18,7 @@
 mod address;
 mod archive;
 mod archived;
+mod attempts;
 mod backoff;
 mod base_archive;
 mod connection;
@@ -34,7 +35,6 @@ mod sources;
 mod stop;
 mod stream;
 mod tenant_feeds;
-mod tries;
 mod web;
 
 pub use address::FetchPolicy;
@@ -43,6 +43,7 @@ pub use crate::tls::Connection;
 pub use archive::ArchiveTemplate;
 pub use archived::NavigationArchives;
 pub(crate) use archived::{ArchivedFile, files as archived_files};
+pub(crate) use attempts::Attempts;
 pub(crate) use backoff::Backoff;
 pub use connection::{Connector, TimeLimits};
 pub use desk::Feeds;
@@ -58,7 +59,6 @@ pub(crate) use post::post;
 pub use sources::NavigationSources;
 pub(crate) use sources::SourceStatus;
 pub(crate) use tenant_feeds::TenantFeeds;
-pub(crate) use tries::Tries;
 #[cfg(feature = "s3")]
 pub(crate) use web::exchange;
 pub use web::{Fetched, Validators, fetch};

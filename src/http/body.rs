@@ -23,7 +23,7 @@ use super::problem::Refused;
 /// Bodies longer than this are parsed on a blocking thread (bytes).
 const SHORT_BYTES: usize = 64 << 10;
 /// Path of a message that is not inside another one, as `serde_path_to_error` writes it.
-const WHOLE: &str = ".";
+const ROOT_PATH: &str = ".";
 /// Content type of bodies that are messages.
 const JSON_TYPES: [&str; 1] = ["application/json"];
 /// Content types of bodies that are files or bytes of a receiver. A web page of another origin
@@ -185,7 +185,7 @@ pub(super) fn json<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Refusal> {
 fn unfit(message: String, path: &str) -> Refusal {
     let is_unknown = message.starts_with("unknown field");
     let code = if is_unknown { Code::UnknownField } else { Code::InvalidField };
-    let path = if path == WHOLE { "" } else { path };
+    let path = if path == ROOT_PATH { "" } else { path };
     // The path ends at the message in which a field is repeated.
     let repeated = message.strip_prefix("duplicate field `").and_then(|rest| rest.split_once('`'));
     let field = match repeated {

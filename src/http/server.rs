@@ -17,10 +17,10 @@ use crate::refusal::Code;
 use crate::tls::ServerTls;
 
 use super::connection::{ConnectionPatience, Peer, serve_connection};
+use super::connection_slots::ConnectionSlots;
 use super::handshake;
 use super::problem::{Problem, Refused};
 use super::router;
-use super::seats::Seats;
 
 /// The delay after a connection that could not be accepted.
 const ACCEPT_DELAY: Duration = Duration::from_millis(100);
@@ -87,7 +87,7 @@ struct Port<'a> {
     listener: TcpListener,
     service: &'a Service,
     router: Router,
-    seats: Seats,
+    slots: ConnectionSlots,
     patience: ConnectionPatience,
 }
 
@@ -99,12 +99,12 @@ impl<'a> Port<'a> {
             idle: Duration::from_secs(limits.idle_s),
             silence: Duration::from_secs(limits.body_silence_s),
         };
-        let seats = Seats::new(
+        let slots = ConnectionSlots::new(
             limits.connections,
             limits.connections_per_address,
             service.meters().connections.clone(),
         );
-        Self { listener, service, router: router(service), seats, patience }
+        Self { listener, service, router: router(service), slots, patience }
     }
 
     /// Accepts connections and serves each in its own task.
@@ -126,8 +126,8 @@ impl<'a> Port<'a> {
             };
             while connections.try_join_next().is_some() {} // Forgets those that have ended.
             let tls = self.service.tls().cloned();
-            match self.seats.take(peer.ip()) {
-                Ok(seat) => {
+            match self.slots.take(peer.ip()) {
+                Ok(slot) => {
                     // Err: the connection is already lost.
                     stream.set_nodelay(true).ok();
                     let peer = Peer { address: peer.ip(), is_encrypted: tls.is_some(), is_late };
@@ -136,7 +136,7 @@ impl<'a> Port<'a> {
                     let served =
                         serve_stream((stream, peer), tls, router, self.patience, is_stopping);
                     connections.spawn(async move {
-                        let _seat = seat;
+                        let _slot = slot;
                         served.await;
                     });
                 }

@@ -12,7 +12,7 @@ use tokio::sync::mpsc;
 use tokio::task::{Id, JoinSet};
 use tokio::time::{MissedTickBehavior, interval, sleep};
 
-use crate::feeds::{Connector, Tries, Url, WebError, download};
+use crate::feeds::{Attempts, Connector, Url, WebError, download};
 use crate::refusal::Code;
 use crate::store::JobRow;
 use crate::tenant::Tenant;
@@ -65,7 +65,7 @@ pub(super) async fn fetch(desk: Arc<Desk>) {
 
 /// Begins to fetch the inputs of as many jobs as allowed.
 async fn begin(desk: &Arc<Desk>, fetches: &mut JoinSet<()>, busy: &mut HashMap<Id, Fetch>) {
-    if !desk.store.leads() {
+    if !desk.store.is_leader() {
         return; // The node that leads fetches for all.
     }
     let rows = match desk.store.unfetched_jobs().await {
@@ -163,9 +163,9 @@ impl Unfetched {
     }
 
     /// The delay before the next attempt; `None` after the last attempt.
-    fn delay(&self, tries: &mut Tries) -> Option<Duration> {
+    fn delay(&self, attempts: &mut Attempts) -> Option<Duration> {
         match self {
-            Self::Web(error) => tries.delay_after(error),
+            Self::Web(error) => attempts.delay_after(error),
             Self::Job(_) => None,
         }
     }
@@ -178,7 +178,7 @@ async fn tried(
     input: &JobInput,
     running: &Running,
 ) -> Result<Option<StoredFile>, Unfetched> {
-    let mut tries = Tries::new();
+    let mut attempts = Attempts::new();
     let text = input.url.as_deref().unwrap_or_default();
     let url: Url = text.parse().map_err(|error| Unfetched::Web(WebError::Fetch(error)))?;
     let longest = Duration::from_secs(desk.limits.fetch_s);
@@ -190,7 +190,7 @@ async fn tried(
             Some(Ok(file)) => return Ok(Some(file)),
             Some(Err(error)) => error,
         };
-        let Some(delay) = error.delay(&mut tries) else { return Err(error) };
+        let Some(delay) = error.delay(&mut attempts) else { return Err(error) };
         if unless_stopped(running, sleep(delay)).await.is_none() {
             return Ok(None);
         }

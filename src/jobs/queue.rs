@@ -199,7 +199,7 @@ pub(super) async fn expire(desk: Arc<Desk>) {
     let mut stopping = desk.stopping.subscribe();
     loop {
         // In a cluster only the leader does it.
-        if desk.store.leads()
+        if desk.store.is_leader()
             && let Err(error) = remove_expired(&desk).await
         {
             tracing::warn!(%error, "expired jobs are not removed yet");

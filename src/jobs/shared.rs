@@ -26,32 +26,32 @@ const PREFIX: &str = "node.";
 /// Another node has another folder, or the store, the disk or the bucket fails.
 pub(super) async fn join(store: &Store, files: &JobFiles) -> Result<(), JobError> {
     let Some(own) = store.fence() else { return Ok(()) };
-    let place = Place::of(files);
-    place.write(own).await?;
+    let location = Location::of(files);
+    location.write(own).await?;
     let others = store.note_job_folder(Some(files.id())).await?;
     for other in others {
-        if !place.has(other.fence).await? {
+        if !location.has(other.fence).await? {
             store.note_job_folder(None).await?;
-            let (folder, node) = (place.name(), other.name);
+            let (folder, node) = (location.name(), other.name);
             return Err(JobError::FolderNotShared { folder, node });
         }
     }
-    let found = place.fences().await?;
+    let found = location.fences().await?;
     // Read after the files, because only nodes that are alive already write a file.
     let (alive, _) = store.nodes().await?;
     for fence in found.into_iter().filter(|fence| !alive.iter().any(|node| node.fence == *fence)) {
-        place.remove(fence).await;
+        location.remove(fence).await;
     }
     Ok(())
 }
 
 /// The location of the files of the nodes.
-enum Place<'a> {
+enum Location<'a> {
     Folder(&'a Path),
     Bucket(&'a Bucket),
 }
 
-impl<'a> Place<'a> {
+impl<'a> Location<'a> {
     fn of(files: &'a JobFiles) -> Self {
         files.bucket().map_or(Self::Folder(files.folder()), |bucket| Self::Bucket(bucket))
     }

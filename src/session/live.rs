@@ -43,7 +43,7 @@ enum Entry {
 
 /// What a watch receives.
 #[derive(Clone, Debug)]
-pub enum News {
+pub enum WatchEvent {
     /// Solutions in the order of their commits, and whether the session is then closed.
     Solutions {
         /// The solutions.
@@ -144,7 +144,7 @@ impl Ring {
 
 impl Watch {
     /// Waits for something new.
-    pub(crate) async fn next(&mut self) -> News {
+    pub(crate) async fn next(&mut self) -> WatchEvent {
         let changed = self.changed.clone();
         loop {
             let notified = changed.notified();
@@ -156,21 +156,21 @@ impl Watch {
     }
 
     /// The entries that have arrived since the last call.
-    fn arrived(&mut self) -> Option<News> {
+    fn arrived(&mut self) -> Option<WatchEvent> {
         let ring = self.live.ring();
         let next = std::mem::replace(&mut self.next, ring.end());
-        let Some(skipped) = next.checked_sub(ring.left) else { return Some(News::Unknown) };
+        let Some(skipped) = next.checked_sub(ring.left) else { return Some(WatchEvent::Unknown) };
         let (mut solutions, mut is_closed) = (Vec::new(), false);
         for (session, entry) in ring.entries.range(skipped as usize..) {
             match entry {
                 _ if *session != self.session => {}
                 Entry::Solution(solution) => solutions.push(solution.clone()),
-                Entry::Unknown => return Some(News::Unknown),
+                Entry::Unknown => return Some(WatchEvent::Unknown),
                 Entry::Closed => is_closed = true,
             }
         }
         let is_new = !solutions.is_empty() || is_closed;
-        is_new.then_some(News::Solutions { solutions, is_closed })
+        is_new.then_some(WatchEvent::Solutions { solutions, is_closed })
     }
 }
 

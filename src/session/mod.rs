@@ -135,7 +135,7 @@ pub use explanation::{EpochExplanation, SatelliteRole, SatelliteView};
 pub use history::{FleetHistory, HistoryQuery, Intervals, SessionHistory};
 pub use info::{NewSession, SessionId, SessionInfo, SessionKind, SessionUpdate, SolutionPage};
 pub use limits::SessionLimits;
-pub use live::{News, Watch};
+pub use live::{Watch, WatchEvent};
 pub use observed::ObservedEpochs;
 pub use raw::{RawChunk, RawReceived};
 pub use recomputation::{Check, Recomputation};

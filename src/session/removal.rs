@@ -70,7 +70,7 @@ impl Expiry {
     /// Removes them once an hour. In a cluster only the leader does.
     pub(super) async fn remove_hourly(self: Arc<Self>) {
         loop {
-            if !self.store.leads() {
+            if !self.store.is_leader() {
                 sleep(LEAD_INTERVAL).await;
                 continue;
             }

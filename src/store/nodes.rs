@@ -78,14 +78,14 @@ impl Store {
     }
 
     /// Whether this service does the writes of a leader: it leads, or there is no cluster.
-    pub(crate) fn leads(&self) -> bool {
-        self.member.as_deref().is_none_or(|member| member.leads.load(Ordering::Acquire))
+    pub(crate) fn is_leader(&self) -> bool {
+        self.member.as_deref().is_none_or(|member| member.is_leader.load(Ordering::Acquire))
     }
 
     /// Makes this node the leader, as far as the process knows.
-    pub(crate) fn lead(&self) {
+    pub(crate) fn become_leader(&self) {
         if let Some(member) = &self.member {
-            member.leads.store(true, Ordering::Release);
+            member.is_leader.store(true, Ordering::Release);
         }
     }
 

@@ -22,7 +22,7 @@ impl BaseBroker {
     /// The store fails, or a row is corrupt.
     pub(crate) async fn follow(&self) -> Result<(), AidingError> {
         let _turn = self.creating.lock().await;
-        if self.store.leads() {
+        if self.store.is_leader() {
             return Ok(()); // It has stored all of it.
         }
         // If a base is new here, its epochs are read in the next round.

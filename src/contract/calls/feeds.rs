@@ -108,7 +108,7 @@ pub(super) fn message(caller: &Caller, base: &str, feed: &BaseFeed) -> v1::Feed 
         attempts: health.attempts,
         connections: health.connections,
         bytes: health.bytes,
-        silent_s: health.received_unix_ms.map(|heard| seconds_between(heard, now)),
+        silent_s: health.received_unix_ms.map(|received| seconds_between(received, now)),
         epochs: health.epochs,
         last_time: health.last_epoch.map(Into::into),
         messages,

@@ -171,9 +171,10 @@ impl Watching {
 
     /// Sends the last message of a reading, unless it is empty and a message was sent recently.
     async fn send_last(&mut self, mut message: v1::WatchHeadsResponse) -> Result<(), Refusal> {
-        let has_news = !message.heads.is_empty() || !message.gone.is_empty() || !self.is_complete;
+        let has_changes =
+            !message.heads.is_empty() || !message.gone.is_empty() || !self.is_complete;
         (message.complete, self.is_complete) = (true, true);
-        if has_news || KEEPALIVE <= self.sent_at.elapsed() {
+        if has_changes || KEEPALIVE <= self.sent_at.elapsed() {
             self.send(message).await?;
         }
         Ok(())

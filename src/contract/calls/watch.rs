@@ -12,7 +12,7 @@ use tokio::time::timeout;
 use crate::config::OutputOptions;
 use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::refusal::Code;
-use crate::session::{News, SessionError, SessionId, Watch, WatchCursor, WatchPage};
+use crate::session::{SessionError, SessionId, Watch, WatchCursor, WatchEvent, WatchPage};
 use crate::store::{Revisions, StoredSolution};
 
 use super::outlet::{Outlet, outlet};
@@ -121,8 +121,8 @@ impl Watching {
             };
             is_closed = match news {
                 Err(_) => self.send(Vec::new(), false).await.map(|()| false)?,
-                Ok(News::Unknown) => self.catch_up().await?,
-                Ok(News::Solutions { solutions, is_closed }) => {
+                Ok(WatchEvent::Unknown) => self.catch_up().await?,
+                Ok(WatchEvent::Solutions { solutions, is_closed }) => {
                     self.send_new(solutions.iter().map(|solution| &**solution)).await?;
                     is_closed
                 }

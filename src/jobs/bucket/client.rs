@@ -13,8 +13,8 @@ use tokio::sync::Semaphore;
 use crate::config::{S3Configuration, S3Keys};
 use crate::feeds::{Connector, FetchPolicy, TimeLimits};
 
+use super::attempts::Attempts;
 use super::send::{Signed, whole};
-use super::tries::Tries;
 use super::{BucketError, Listed, ListedPage, Patience};
 
 /// Time for which a signature is valid.
@@ -123,7 +123,7 @@ impl Bucket {
     /// # Errors
     /// The server is away or refuses, or the object is no short text.
     pub(crate) async fn text(&self, name: &str) -> Result<Option<String>, BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(Patience::Call));
+        let (key, mut attempts) = (self.key(name), Attempts::of(Patience::Call));
         loop {
             let credentials = self.credentials().await?;
             let url = Self::sign(&self.bucket.get_object(Some(&credentials), &key));
@@ -132,7 +132,7 @@ impl Bucket {
             match asking.await {
                 Ok(text) => return Ok(Some(String::from_utf8_lossy(&text).into_owned())),
                 Err(BucketError::Missing { .. }) => return Ok(None),
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }
@@ -142,7 +142,7 @@ impl Bucket {
     /// # Errors
     /// The server is away or refuses.
     pub(crate) async fn put_text(&self, name: &str, text: &str) -> Result<(), BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(Patience::Call));
+        let (key, mut attempts) = (self.key(name), Attempts::of(Patience::Call));
         loop {
             let credentials = self.credentials().await?;
             let url = Self::sign(&self.bucket.put_object(Some(&credentials), &key));
@@ -155,7 +155,7 @@ impl Bucket {
                 Ok(()) => return Ok(()),
                 // Another request has put it first.
                 Err(BucketError::Refused { answer }) if answer.starts_with("412") => return Ok(()),
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }
@@ -179,7 +179,7 @@ impl Bucket {
         begin: &str,
         token: Option<String>,
     ) -> Result<ListedPage, BucketError> {
-        let (begin, mut tries) = (self.key(begin), Tries::of(Patience::Call));
+        let (begin, mut attempts) = (self.key(begin), Attempts::of(Patience::Call));
         loop {
             let credentials = self.credentials().await?;
             let url = {
@@ -194,7 +194,7 @@ impl Bucket {
             let asking = asked.send(&self.connector, &begin, |answer| whole(answer, PAGE_BYTES));
             match asking.await {
                 Ok(text) => return self.listed(&text),
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }
@@ -222,14 +222,14 @@ impl Bucket {
     /// # Errors
     /// The server is away or refuses.
     pub(crate) async fn delete(&self, name: &str) -> Result<(), BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(Patience::Call));
+        let (key, mut attempts) = (self.key(name), Attempts::of(Patience::Call));
         loop {
             let credentials = self.credentials().await?;
             let url = Self::sign(&self.bucket.delete_object(Some(&credentials), &key));
             let asked = Signed::of(Method::DELETE, url);
             match asked.send(&self.connector, name, async |_| Ok(())).await {
                 Ok(()) | Err(BucketError::Missing { .. }) => return Ok(()),
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }

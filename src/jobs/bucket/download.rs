@@ -5,9 +5,9 @@ use hyper::body::Incoming;
 use hyper::{Method, Response, StatusCode, header};
 use tokio::sync::mpsc;
 
+use super::attempts::Attempts;
 use super::client::Bucket;
 use super::send::{Signed, next_chunk};
-use super::tries::Tries;
 use super::{BucketError, Patience};
 
 /// The object of a download, and how many of its bytes have arrived.
@@ -30,7 +30,7 @@ impl Bucket {
         patience: Patience,
         chunks: &mpsc::Sender<Bytes>,
     ) -> Result<(), BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(patience));
+        let (key, mut attempts) = (self.key(name), Attempts::of(patience));
         let mut progress = Progress { name, bytes, received: 0, chunks };
         while progress.received < bytes && !chunks.is_closed() {
             let credentials = self.credentials().await?;
@@ -41,7 +41,7 @@ impl Bucket {
             }
             let asking = asked.send(&self.connector, name, |answer| progress.pass_on(answer));
             if let Err(error) = asking.await {
-                tries.again(error).await?;
+                attempts.again(error).await?;
             }
         }
         Ok(())

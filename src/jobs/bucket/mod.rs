@@ -11,14 +11,14 @@
 mod absent;
 mod asked;
 #[cfg(feature = "s3")]
+mod attempts;
+#[cfg(feature = "s3")]
 mod client;
 #[cfg(feature = "s3")]
 mod download;
 mod error;
 #[cfg(feature = "s3")]
 mod send;
-#[cfg(feature = "s3")]
-mod tries;
 #[cfg(feature = "s3")]
 mod upload;
 

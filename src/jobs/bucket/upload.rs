@@ -15,9 +15,9 @@ use rusty_s3::actions::{
 };
 use tokio::task::spawn_blocking;
 
+use super::attempts::Attempts;
 use super::client::Bucket;
 use super::send::{Signed, element, whole};
-use super::tries::Tries;
 use super::{BucketError, Patience};
 
 /// Size of a part (bytes), unless a file would have too many parts. A file of at most this size is
@@ -72,7 +72,7 @@ impl Bucket {
 
     /// Begins an upload in parts. Returns its id.
     async fn begin(&self, name: &str, patience: Patience) -> Result<String, BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(patience));
+        let (key, mut attempts) = (self.key(name), Attempts::of(patience));
         loop {
             let credentials = self.credentials().await?;
             let action = CreateMultipartUpload::new(&self.bucket, Some(&credentials), &key);
@@ -83,7 +83,7 @@ impl Bucket {
                     let unread = |error| BucketError::Refused { answer: format!("{error}") };
                     return Ok(begun.map_err(unread)?.upload_id().to_owned());
                 }
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }
@@ -118,7 +118,7 @@ impl Bucket {
         sign: impl Fn(&Credentials) -> url::Url,
     ) -> Result<String, BucketError> {
         let _permit = self.parts.acquire().await;
-        let (body, mut tries) = (part.read().await?, Tries::of(patience));
+        let (body, mut attempts) = (part.read().await?, Attempts::of(patience));
         loop {
             let url = sign(&self.credentials().await?);
             let asked =
@@ -129,7 +129,7 @@ impl Bucket {
             });
             match asking.await {
                 Ok(tag) => return Ok(tag),
-                Err(error) => tries.again(error).await?,
+                Err(error) => attempts.again(error).await?,
             }
         }
     }
@@ -142,7 +142,7 @@ impl Bucket {
         (tags, bytes): (&[String], u64),
         patience: Patience,
     ) -> Result<(), BucketError> {
-        let (key, mut tries) = (self.key(name), Tries::of(patience));
+        let (key, mut attempts) = (self.key(name), Attempts::of(patience));
         loop {
             let credentials = self.credentials().await?;
             let tags = tags.iter().map(String::as_str);
@@ -173,7 +173,7 @@ impl Bucket {
                 }
                 Err(error) => error,
             };
-            tries.again(error).await?;
+            attempts.again(error).await?;
         }
     }
 

@@ -7,10 +7,10 @@ use tokio::sync::oneshot;
 
 /// A bounded number of slots. All clones share them.
 #[derive(Clone, Debug)]
-pub(super) struct Newest(Arc<Mutex<Places>>);
+pub(super) struct Newest(Arc<Mutex<Slots>>);
 
 #[derive(Debug)]
-struct Places {
+struct Slots {
     free: usize,
     waiting: Vec<oneshot::Sender<Admitted>>,
 }
@@ -20,34 +20,34 @@ struct Places {
 pub(in crate::session) struct Admitted(Newest);
 
 impl Newest {
-    pub(super) fn new(places: usize) -> Self {
-        Self(Arc::new(Mutex::new(Places { free: places, waiting: Vec::new() })))
+    pub(super) fn new(slots: usize) -> Self {
+        Self(Arc::new(Mutex::new(Slots { free: slots, waiting: Vec::new() })))
     }
 
     /// Waits for a slot.
     pub(super) async fn admitted(&self) -> Admitted {
         let waiting = {
-            let mut places = self.places();
-            if let Some(free) = places.free.checked_sub(1) {
-                places.free = free;
+            let mut slots = self.slots();
+            if let Some(free) = slots.free.checked_sub(1) {
+                slots.free = free;
                 return Admitted(self.clone());
             }
             let (sender, waiting) = oneshot::channel();
-            places.waiting.push(sender);
+            slots.waiting.push(sender);
             waiting
         };
-        waiting.await.expect("a place that is waited for is given")
+        waiting.await.expect("a slot that is waited for is given")
     }
 
     /// Gives a free slot to the caller that has waited for the shortest time.
     fn admit_next(&self) {
         loop {
-            let mut places = self.places();
-            let Some(newest) = places.waiting.pop() else {
-                places.free += 1;
+            let mut slots = self.slots();
+            let Some(newest) = slots.waiting.pop() else {
+                slots.free += 1;
                 return;
             };
-            drop(places);
+            drop(slots);
             if newest.is_closed() {
                 continue; // Who waited has gone.
             }
@@ -57,7 +57,7 @@ impl Newest {
         }
     }
 
-    fn places(&self) -> MutexGuard<'_, Places> {
+    fn slots(&self) -> MutexGuard<'_, Slots> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

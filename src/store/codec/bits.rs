@@ -9,7 +9,7 @@ use super::bytes::{Decoder, Encoder};
 
 /// This many ones mean that the value follows with all its bits.
 const ESCAPE: u32 = 20;
-const WHOLE: u32 = u64::BITS;
+const ALL_BITS: u32 = u64::BITS;
 /// Bits of the length that [`BitWriter::sized`] writes.
 const LENGTH_BITS: u32 = 6;
 
@@ -63,7 +63,7 @@ impl<'a> BitWriter<'a> {
 
     /// A value with its number of bits, below 2⁶³.
     pub(super) fn sized(&mut self, value: u64) {
-        let length = WHOLE - value.leading_zeros();
+        let length = ALL_BITS - value.leading_zeros();
         self.bits(u64::from(length), LENGTH_BITS);
         self.bits(value, length);
     }
@@ -81,7 +81,7 @@ impl<'a> BitWriter<'a> {
             self.bits(rest, k);
         } else {
             self.bits((1 << ESCAPE) - 1, ESCAPE);
-            self.bits(value, WHOLE);
+            self.bits(value, ALL_BITS);
         }
     }
 }
@@ -89,15 +89,15 @@ impl<'a> BitWriter<'a> {
 /// Length of the Rice code of a value (bits).
 const fn rice_bits(value: u64, k: u32) -> u64 {
     let ones = value >> k;
-    if ones < ESCAPE as u64 { ones + 1 + k as u64 } else { (ESCAPE + WHOLE) as u64 }
+    if ones < ESCAPE as u64 { ones + 1 + k as u64 } else { (ESCAPE + ALL_BITS) as u64 }
 }
 
 /// The parameter k that needs the fewest bits for these values. Reorders the values.
 pub(super) fn rice_parameter(values: &mut [u64]) -> u32 {
     let middle = values.len() / 2;
     let median = if values.is_empty() { 0 } else { *values.select_nth_unstable(middle).1 };
-    let length = WHOLE - median.leading_zeros();
-    let candidates = length.saturating_sub(3)..(length + 4).min(WHOLE);
+    let length = ALL_BITS - median.leading_zeros();
+    let candidates = length.saturating_sub(3)..(length + 4).min(ALL_BITS);
     let bits = |k: &u32| values.iter().map(|value| rice_bits(*value, *k)).sum::<u64>();
     candidates.min_by_key(bits).unwrap_or(0)
 }
@@ -155,7 +155,7 @@ impl<'d, 'a> BitReader<'d, 'a> {
         while self.bit()? {
             ones += 1;
             if ones == ESCAPE {
-                return self.bits(WHOLE);
+                return self.bits(ALL_BITS);
             }
         }
         let rest = self.bits(k)?;

@@ -31,7 +31,7 @@ pub(super) const VALUES: usize = 4;
 
 /// How a value is written.
 pub(super) const ABSENT: u8 = 0;
-const WHOLE: u8 = 1;
+const THOUSANDTHS: u8 = 1;
 pub(super) const BITS: u8 = 2;
 /// For C/N0: a whole number of quarters of a dB.
 pub(super) const QUARTERS: u8 = 3;
@@ -155,7 +155,7 @@ impl Signal {
         let tag = |index: usize| match (values[index], whole[index]) {
             (None, _) => ABSENT,
             (Some(_), Some(whole)) if index == CN0 && whole % QUARTER == 0 => QUARTERS,
-            (Some(_), Some(_)) => WHOLE,
+            (Some(_), Some(_)) => THOUSANDTHS,
             (Some(_), None) => BITS,
         };
         let lost = if observation.loss_of_lock { LOSS_OF_LOCK } else { 0 };

@@ -48,7 +48,7 @@ pub(in crate::store) struct Member {
     /// A time just before the last committed renewal, by the local clock.
     renewed: Mutex<Option<Instant>>,
     /// Whether it leads, and has read everything that the former leader stored.
-    pub(in crate::store) leads: AtomicBool,
+    pub(in crate::store) is_leader: AtomicBool,
 }
 
 impl Member {
@@ -62,7 +62,7 @@ impl Member {
             fence: AtomicI64::new(0),
             process: AtomicI32::new(0),
             renewed: Mutex::default(),
-            leads: AtomicBool::new(false),
+            is_leader: AtomicBool::new(false),
         }
     }
 
@@ -87,7 +87,7 @@ impl Member {
                     Ok(None)
                 }
                 false => {
-                    self.leads.store(false, Ordering::Release);
+                    self.is_leader.store(false, Ordering::Release);
                     Ok(Some(format!("a node that has ended the lease of {}", self.name)))
                 }
             };

@@ -90,7 +90,7 @@ enum Phase {
 }
 
 /// A push that waits because the session's mailbox is full.
-struct Held {
+struct WaitingPush {
     push: StreamedPush,
     until: Instant,
 }
@@ -116,7 +116,7 @@ pub(super) struct Flow<C: Carried, I, E> {
     ledger: Ledger,
     /// Whether further messages are read.
     is_reading: bool,
-    held: Option<Held>,
+    waiting_push: Option<WaitingPush>,
     /// Why the stream ends once everything is answered; `None` if the device closes its side.
     fault: Option<E>,
     drained: Option<Pin<Box<dyn Future<Output = ()> + Send>>>,
@@ -126,7 +126,7 @@ pub(super) struct Flow<C: Carried, I, E> {
     /// When the stream ends, once the end is announced.
     end: Option<Instant>,
     /// When the last message arrived, and when the last answer was sent.
-    heard: Instant,
+    last_received: Instant,
     answered: Instant,
     timer: Pin<Box<Sleep>>,
     _permit: Option<OwnedSemaphorePermit>,
@@ -156,13 +156,13 @@ where
             answers: Answers::new(),
             ledger: Ledger::new(window, lease),
             is_reading: true,
-            held: None,
+            waiting_push: None,
             fault: None,
             drained: Some(Box::pin(caller.drained())),
             key_ended: pass.as_ref().map(|pass| Box::pin(pass.ended()) as _),
             pass,
             end: None,
-            heard: now,
+            last_received: now,
             answered: now,
             timer: Box::pin(sleep_until(now + KEEPALIVE)),
             caller: caller.clone(),
@@ -221,7 +221,7 @@ where
             Some((after, through)) if after < through => Phase::Missed { after, through },
             _ => Phase::Open,
         };
-        self.heard = Instant::now();
+        self.last_received = Instant::now();
         self.opened = Some((session, carried));
         Ok(response)
     }
@@ -249,7 +249,7 @@ where
     /// The next response of an open stream.
     async fn flow(&mut self) -> Option<Result<C::Response, E>> {
         loop {
-            if !self.is_reading && self.ledger.is_settled() && self.held.is_none() {
+            if !self.is_reading && self.ledger.is_settled() && self.waiting_push.is_none() {
                 return self.fault.take().map(Err);
             }
             let response = match self.event().await {
@@ -309,15 +309,15 @@ where
 
     /// Whether the next message may be read now.
     fn reads_on(&self) -> bool {
-        self.is_reading && self.held.is_none() && self.ledger.has_room()
+        self.is_reading && self.waiting_push.is_none() && self.ledger.has_room()
     }
 
     /// The time at which the timer must run next.
     fn deadline(&self) -> Instant {
         let idle = Duration::from_secs(self.caller.limits().stream_idle_s);
         let others = [
-            self.reads_on().then(|| self.heard + idle),
-            self.held.as_ref().map(|held| held.until),
+            self.reads_on().then(|| self.last_received + idle),
+            self.waiting_push.as_ref().map(|held| held.until),
             self.end,
         ];
         others.into_iter().flatten().fold(self.answered + KEEPALIVE, Instant::min)
@@ -325,7 +325,7 @@ where
 
     /// Handles a message; returns a response if it is answered at once.
     async fn receive(&mut self, request: C::Request) -> Option<C::Response> {
-        self.heard = Instant::now();
+        self.last_received = Instant::now();
         let epochs = C::known_epochs(&request);
         match self.taken(request) {
             Ok(Some(push)) => {
@@ -368,7 +368,9 @@ where
         let (id, _) = self.opened.as_ref().expect("an open stream has its session");
         let Err(error) = self.caller.sessions().post_streamed(id, &mut push).await else { return };
         match error.retry_after().filter(|_| error.code().class() == Class::Exhausted) {
-            Some(delay) => self.held = Some(Held { push, until: Instant::now() + delay }),
+            Some(delay) => {
+                self.waiting_push = Some(WaitingPush { push, until: Instant::now() + delay })
+            }
             None => {
                 self.refuse(push);
                 self.stop(Refusal::from(error).into());
@@ -380,7 +382,7 @@ where
     fn stop(&mut self, fault: E) -> Option<C::Response> {
         self.is_reading = false;
         self.fault.get_or_insert(fault);
-        if let Some(held) = self.held.take() {
+        if let Some(held) = self.waiting_push.take() {
             self.refuse(held.push);
         }
         None
@@ -444,12 +446,12 @@ where
         if self.end.take_if(|end| *end <= now).is_some() {
             return self.stop(Refusal::from(SessionError::Draining).into());
         }
-        if let Some(held) = self.held.take_if(|held| held.until <= now) {
-            self.heard = now;
+        if let Some(held) = self.waiting_push.take_if(|held| held.until <= now) {
+            self.last_received = now;
             self.post(held.push).await;
             return None;
         }
-        if self.reads_on() && self.heard + idle <= now {
+        if self.reads_on() && self.last_received + idle <= now {
             let message = format!("no message for {} s", limits.stream_idle_s);
             return self.stop(Refusal::new(Code::StreamIdle, message).into());
         }

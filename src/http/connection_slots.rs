@@ -15,7 +15,7 @@ const PROCESS_LIMITS: &str = "/proc/self/limits";
 
 /// The connections that may be open. All clones share them.
 #[derive(Clone)]
-pub(super) struct Seats(Arc<Shared>);
+pub(super) struct ConnectionSlots(Arc<Shared>);
 
 struct Shared {
     /// The connections that are open.
@@ -31,14 +31,14 @@ struct Taken {
     of_address: HashMap<IpAddr, usize>,
 }
 
-/// An open connection. Dropping it frees its seat.
-pub(super) struct Seat {
-    seats: Seats,
+/// An open connection. Dropping it frees its slot.
+pub(super) struct ConnectionSlot {
+    slots: ConnectionSlots,
     address: IpAddr,
 }
 
-impl Seats {
-    /// Seats for `most` connections, at most `most_of_address` from one address. Both are lower if
+impl ConnectionSlots {
+    /// Slots for `most` connections, at most `most_of_address` from one address. Both are lower if
     /// the process may open fewer files. `open` counts the connections that are open.
     pub(super) fn new(most: usize, most_of_address: usize, open: Gauge) -> Self {
         let files = open_files(&std::fs::read_to_string(PROCESS_LIMITS).unwrap_or_default());
@@ -54,8 +54,8 @@ impl Seats {
         Self(Arc::new(Shared { open, most, most_of_address, taken: Mutex::default() }))
     }
 
-    /// A seat for a connection from `address`.
-    pub(super) fn take(&self, address: IpAddr) -> Result<Seat, Refusal> {
+    /// A slot for a connection from `address`.
+    pub(super) fn take(&self, address: IpAddr) -> Result<ConnectionSlot, Refusal> {
         let mut taken = self.taken();
         let Shared { most, most_of_address, .. } = &*self.0;
         let full = |message: String| Err(Refusal::new(Code::TooManyConnections, message));
@@ -70,7 +70,7 @@ impl Seats {
         *of_address += 1;
         taken.all += 1;
         self.0.open.inc();
-        Ok(Seat { seats: self.clone(), address })
+        Ok(ConnectionSlot { slots: self.clone(), address })
     }
 
     fn taken(&self) -> MutexGuard<'_, Taken> {
@@ -78,11 +78,11 @@ impl Seats {
     }
 }
 
-impl Drop for Seat {
+impl Drop for ConnectionSlot {
     fn drop(&mut self) {
-        let mut taken = self.seats.taken();
+        let mut taken = self.slots.taken();
         taken.all -= 1;
-        self.seats.0.open.dec();
+        self.slots.0.open.dec();
         if let Some(count) = taken.of_address.get_mut(&self.address) {
             *count -= 1;
             if *count == 0 {
@@ -106,16 +106,16 @@ mod tests {
     fn connections_are_counted_in_all_and_by_address() {
         let (here, there) = (IpAddr::from([127, 0, 0, 1]), IpAddr::from([127, 0, 0, 2]));
         let open = Gauge::default();
-        let seats = Seats::new(3, 2, open.clone());
-        let taken: Vec<Seat> = (0..2).map(|_| seats.take(here).unwrap()).collect();
-        assert_eq!(seats.take(here).err().unwrap().code, Code::TooManyConnections);
-        let other = seats.take(there).unwrap();
-        assert!(seats.take(there).is_err(), "a fourth of three");
+        let slots = ConnectionSlots::new(3, 2, open.clone());
+        let taken: Vec<ConnectionSlot> = (0..2).map(|_| slots.take(here).unwrap()).collect();
+        assert_eq!(slots.take(here).err().unwrap().code, Code::TooManyConnections);
+        let other = slots.take(there).unwrap();
+        assert!(slots.take(there).is_err(), "a fourth of three");
         assert_eq!(open.get(), 3);
         drop(taken);
-        assert!(seats.take(here).is_ok());
+        assert!(slots.take(here).is_ok());
         drop(other);
-        let taken = seats.taken();
+        let taken = slots.taken();
         assert_eq!((taken.all, taken.of_address.len(), open.get()), (0, 0, 0));
     }
 

@@ -12,22 +12,22 @@ use super::{BucketError, Patience};
 const DELAY: Duration = Duration::from_millis(250);
 const DELAY_CEILING: Duration = Duration::from_secs(20);
 /// Attempts of a request for which a caller waits: 2 to 4 s of delays.
-const TRIES_OF_CALL: usize = 5;
+const ATTEMPTS_OF_CALL: usize = 5;
 /// Attempts of a request for a run, whose work would be lost: 1 to 2 minutes of delays.
-const TRIES_OF_RUN: usize = 11;
+const ATTEMPTS_OF_RUN: usize = 11;
 
 /// The remaining attempts of a request.
-pub(super) struct Tries {
+pub(super) struct Attempts {
     left: usize,
     backoff: Backoff,
 }
 
-impl Tries {
+impl Attempts {
     /// As many attempts as this patience allows.
     pub(super) const fn of(patience: Patience) -> Self {
         let left = match patience {
-            Patience::Call => TRIES_OF_CALL,
-            Patience::Run => TRIES_OF_RUN,
+            Patience::Call => ATTEMPTS_OF_CALL,
+            Patience::Run => ATTEMPTS_OF_RUN,
         };
         Self { left, backoff: Backoff::new(DELAY, DELAY_CEILING) }
     }

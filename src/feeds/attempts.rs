@@ -7,21 +7,21 @@ use crate::refusal::Code;
 use super::{Backoff, WebError};
 
 /// Number of attempts to fetch a file.
-const TRIES: usize = 3;
+const ATTEMPTS: usize = 3;
 const DELAY: Duration = Duration::from_secs(2);
 const DELAY_CEILING: Duration = Duration::from_secs(60);
 
 /// The remaining attempts for one file.
 #[derive(Clone, Debug)]
-pub(crate) struct Tries {
+pub(crate) struct Attempts {
     left: usize,
     backoff: Backoff,
 }
 
-impl Tries {
+impl Attempts {
     /// The attempts before the first one.
     pub(crate) const fn new() -> Self {
-        Self { left: TRIES, backoff: Backoff::new(DELAY, DELAY_CEILING) }
+        Self { left: ATTEMPTS, backoff: Backoff::new(DELAY, DELAY_CEILING) }
     }
 
     /// The delay before the next attempt after a failed one. `None` if no attempt follows, because
@@ -58,8 +58,8 @@ mod tests {
     #[test]
     fn a_passing_failure_is_tried_three_times() {
         let slow = WebError::Slow { seconds: 15 };
-        let mut tries = Tries::new();
-        let delays = [(); 4].map(|()| tries.delay_after(&slow));
+        let mut attempts = Attempts::new();
+        let delays = [(); 4].map(|()| attempts.delay_after(&slow));
         let within = |delay: Option<Duration>, first: Duration| {
             delay.is_some_and(|delay| first / 2 <= delay && delay <= first)
         };
@@ -71,7 +71,7 @@ mod tests {
     fn a_lasting_failure_is_not_tried_again() {
         let missing = WebError::NotFound { answer: "404 Not Found".to_owned() };
         for error in [missing, WebError::TooLarge { limit: 1 }] {
-            assert_eq!(Tries::new().delay_after(&error), None, "{error}");
+            assert_eq!(Attempts::new().delay_after(&error), None, "{error}");
         }
     }
 
@@ -81,7 +81,7 @@ mod tests {
         let refused = |seconds| {
             let retry_after = Some(Duration::from_secs(seconds));
             let answer = "503 Service Unavailable".to_owned();
-            Tries::new().delay_after(&WebError::Refused { answer, retry_after }).unwrap()
+            Attempts::new().delay_after(&WebError::Refused { answer, retry_after }).unwrap()
         };
         assert!(Duration::from_secs(60) <= refused(60));
         assert!(refused(61) <= DELAY);
