@@ -244,7 +244,7 @@ async fn make_days(url: &str) {
                 "CREATE TABLE {partition} (LIKE {table}); \
                  CREATE UNIQUE INDEX ON {partition} ({unique}); \
                  DO $$ BEGIN EXECUTE format('ALTER TABLE {table} ATTACH PARTITION {partition} \
-                 FOR VALUES IN (%L)', CURRENT_DATE - {day}); END $$"
+                 FOR VALUES IN (%L)', (NOW() AT TIME ZONE 'UTC')::date - {day}); END $$"
             );
             let made = sqlx::raw_sql(&statements).execute(&mut server).await;
             made.expect("a partition is made");

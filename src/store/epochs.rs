@@ -143,14 +143,10 @@ impl Store {
         count: usize,
     ) -> Result<Vec<StoredEpoch>, StoreError> {
         let after = after.map_or(-1, |seq| i64::try_from(seq).unwrap_or(i64::MAX));
-        let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => sqlx::query_as(
-            SELECT_AFTER,
-        )
-        .bind(session.0)
-        .bind(after)
-        .bind(count as i64)
-        .fetch_all(pool)
-        .await);
+        let rows: Result<Vec<RawEpoch>, _> = reading!(&self.pool, pool => {
+            let select = sqlx::query_as(SELECT_AFTER).bind(session.0).bind(after);
+            select.bind(count as i64).fetch_all(pool).await
+        });
         let rows = rows.map_err(StoreError::database("reading a session's epochs"))?;
         self.decoded(session, rows).await
     }

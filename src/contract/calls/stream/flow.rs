@@ -317,7 +317,7 @@ where
         let idle = Duration::from_secs(self.caller.limits().stream_idle_s);
         let others = [
             self.reads_on().then(|| self.last_received + idle),
-            self.waiting_push.as_ref().map(|held| held.until),
+            self.waiting_push.as_ref().map(|push| push.until),
             self.end,
         ];
         others.into_iter().flatten().fold(self.answered + KEEPALIVE, Instant::min)
@@ -382,8 +382,8 @@ where
     fn stop(&mut self, fault: E) -> Option<C::Response> {
         self.is_reading = false;
         self.fault.get_or_insert(fault);
-        if let Some(held) = self.waiting_push.take() {
-            self.refuse(held.push);
+        if let Some(waited) = self.waiting_push.take() {
+            self.refuse(waited.push);
         }
         None
     }
@@ -446,9 +446,9 @@ where
         if self.end.take_if(|end| *end <= now).is_some() {
             return self.stop(Refusal::from(SessionError::Draining).into());
         }
-        if let Some(held) = self.waiting_push.take_if(|held| held.until <= now) {
+        if let Some(waited) = self.waiting_push.take_if(|push| push.until <= now) {
             self.last_received = now;
-            self.post(held.push).await;
+            self.post(waited.push).await;
             return None;
         }
         if self.reads_on() && self.last_received + idle <= now {
