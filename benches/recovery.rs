@@ -239,12 +239,14 @@ async fn make_days(url: &str) {
     for day in 1..=days {
         for (table, unique) in [("epochs", "session, seq"), ("revisions", "session, seq, revision")]
         {
-            let partition = format!("{table}_before_{day}");
+            // Named as those of the service, which finds that they exist.
             let statements = format!(
-                "CREATE TABLE {partition} (LIKE {table}); \
-                 CREATE UNIQUE INDEX ON {partition} ({unique}); \
-                 DO $$ BEGIN EXECUTE format('ALTER TABLE {table} ATTACH PARTITION {partition} \
-                 FOR VALUES IN (%L)', (NOW() AT TIME ZONE 'UTC')::date - {day}); END $$"
+                "DO $$ DECLARE day DATE := (NOW() AT TIME ZONE 'UTC')::date - {day}; \
+                 name TEXT := '{table}_' || TO_CHAR(day, 'YYYYMMDD'); BEGIN \
+                 EXECUTE 'CREATE TABLE ' || name || ' (LIKE {table})'; \
+                 EXECUTE 'CREATE UNIQUE INDEX ON ' || name || ' ({unique})'; \
+                 EXECUTE FORMAT('ALTER TABLE {table} ATTACH PARTITION ' || name \
+                 || ' FOR VALUES IN (%L)', day); END $$"
             );
             let made = sqlx::raw_sql(&statements).execute(&mut server).await;
             made.expect("a partition is made");

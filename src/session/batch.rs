@@ -6,7 +6,7 @@ use std::time::Duration;
 use crate::aiding::PushedNavigation;
 use crate::gnss::GpsTime;
 use crate::positioning::Scratch;
-use crate::store::{EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
+use crate::store::{Arrival, EncodedEpoch, EncodedSnapshot, EncodedSolution, StoredSolution};
 
 use super::base_selection::BaseSource;
 use super::panics::caught;
@@ -25,8 +25,8 @@ pub(super) struct EpochRules {
     pub(super) observations_max: usize,
     /// The present time.
     pub(super) now: GpsTime,
-    /// The present day, since 1970-01-01 UTC. The epochs are stored with it.
-    pub(super) day: i64,
+    /// The present day, with which the epochs are stored.
+    pub(super) arrival: Arrival,
     /// Time that an epoch may be ahead of `now` (s).
     pub(super) future_s: u64,
     /// Processor time that a replay may take. The state is stored when the epochs since take more.
@@ -135,14 +135,15 @@ impl SolvedBatch {
     pub(super) fn finish(&mut self, rules: &EpochRules) {
         let (state, has_rows) = (&mut self.state, !self.rows.is_empty());
         let is_long = EPOCHS_PER_SNAPSHOT <= state.unsaved || rules.replay_max < state.unsaved_time;
-        // The clock was set back.
-        let is_earlier = state.since_day.is_some_and(|day| rules.day < day);
+        let partition = rules.arrival.partition;
+        // The clock was set back, or the service's retention is longer than before.
+        let is_earlier = state.since_day.is_some_and(|day| partition < day);
         if is_long || has_rows && (rules.is_new_day || is_earlier) {
-            state.since_day = Some(rules.day);
+            state.since_day = Some(partition);
             self.snapshot = state.encoded();
             state.note_stored();
         } else if state.since_day.is_none() && has_rows && state.unsaved == self.rows.len() {
-            state.since_day = Some(rules.day);
+            state.since_day = Some(partition);
         }
     }
 

@@ -27,7 +27,7 @@ use super::solvers::{Lane, Progress, Solvers};
 use super::state::{Advanced, Configuration, State, VERSION};
 
 /// Stored epochs per read.
-pub(super) const PAGE: usize = 256;
+pub(super) const PAGE: usize = StoredState::EPOCHS;
 /// Most epochs that are replayed if a session has no readable snapshot. It is more than the window
 /// of any mode.
 const REBUILT_EPOCHS: usize = 4_096;

@@ -67,8 +67,8 @@ pub(super) struct State {
     pub(super) unsaved: usize,
     /// Processor time in which they were computed. A replay would need it again.
     pub(super) unsaved_time: Duration,
-    /// No epoch since the state was last stored has arrived before this day (since 1970-01-01 UTC);
-    /// `None` if such a day is not known.
+    /// All epochs since the state was last stored are in partitions of the log that begin on this
+    /// day (since 1970-01-01 UTC) or later; `None` if such a day is not known.
     pub(super) since_day: Option<i64>,
     /// The last epoch, to which the next is encoded relative. It is not part of snapshots; the
     /// epoch after a restore is stored whole.

@@ -1,9 +1,13 @@
 //! Partitions of the log by day of arrival, on Postgres.
 //!
-//! Epochs and revisions of a day are in partitions of their own. So retention drops a day at once:
-//! no row is deleted singly, and the disk gets its space back. The committer makes the partitions
-//! of a day before its first commit of that day. Rows that are kept longer, because their session
-//! has a longer retention, are moved to the partition without a day.
+//! Epochs and revisions of a day, or of some days, are in partitions of their own, and `day` is the
+//! first of these days. So retention drops days at once: no row is deleted singly, and the disk
+//! gets its space back. The committer makes the partitions of a day before its first commit. Rows
+//! that are kept longer, because their session has a longer retention, are moved to the partition
+//! without a day.
+//!
+//! A read of a session by number looks into every partition and locks it, and a server has room for
+//! 6,400 locks by default. So the longer the retention, the more days have one partition.
 
 use std::collections::BTreeSet;
 use std::sync::{Mutex, PoisonError};
@@ -36,6 +40,48 @@ const ROWS_PER_STEP: i64 = 500;
 /// Pause between transactions, so that those of others come in between.
 const PAUSE: Duration = Duration::from_millis(20);
 const SESSIONS_PER_READ: i64 = 100;
+
+/// About the number of partitions of each table that a retention needs.
+const PARTITIONS: u32 = 30;
+/// Days in a partition if epochs are kept for ever.
+const DAYS_FOR_EVER: u32 = 30;
+/// Days that can be stored: from 1970-01-01 to 9999-12-31.
+const STORED: std::ops::RangeInclusive<i64> = 0..=2_932_896;
+
+/// Days in a partition, where epochs are kept for `retention_days`; 0 for ever.
+const fn days_in_partition(retention_days: u32) -> i64 {
+    match retention_days {
+        0 => DAYS_FOR_EVER as i64,
+        1..PARTITIONS => 1,
+        days => (days / PARTITIONS) as i64,
+    }
+}
+
+/// When epochs arrived (days since 1970-01-01 UTC).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Arrival {
+    /// The day.
+    pub day: i64,
+    /// First day of the partition in which they are stored on Postgres.
+    pub partition: i64,
+}
+
+impl Arrival {
+    /// An arrival on this day, where epochs are kept for `retention_days`; 0 for ever.
+    pub const fn on(day: i64, retention_days: u32) -> Self {
+        Self { day, partition: day - day.rem_euclid(days_in_partition(retention_days)) }
+    }
+
+    /// The day as it is stored, if it can be.
+    pub(super) fn stored_day(self) -> Option<i32> {
+        Some(self.day).filter(|day| STORED.contains(day)).map(|day| day as i32)
+    }
+
+    /// First day of the partition as it is stored; `None` if the day has no partition.
+    pub(super) fn stored_partition(self) -> Option<i32> {
+        self.stored_day().map(|_| self.partition as i32)
+    }
+}
 
 /// The days whose partitions are known to exist.
 #[derive(Debug, Default)]
@@ -98,9 +144,8 @@ fn partition(table: &str, date: &str) -> String {
 }
 
 impl Store {
-    /// Drops the partitions of days from which no row is kept any more. From days older than the
-    /// service's retention it first moves the kept rows. A `retention_days` of 0 keeps all for
-    /// ever.
+    /// Drops the partitions from which no row is kept any more. From those older than the service's
+    /// retention it first moves the kept rows. A `retention_days` of 0 keeps all for ever.
     ///
     /// # Errors
     /// The database fails.
@@ -115,7 +160,8 @@ impl Store {
                 let days = sqlx::query_scalar(DAYS).bind(table).fetch_all(pool);
                 let days: Vec<i32> = within(BULK_DEADLINE, days).await?;
                 for day in days {
-                    let age = today - i64::from(day);
+                    let last_day = i64::from(day) + days_in_partition(retention_days) - 1;
+                    let age = today - last_day;
                     // A session's epochs are kept for up to a day longer than its retention.
                     let is_due = retention_days != 0 && i64::from(retention_days) + 2 < age;
                     if 1 < age {
@@ -235,5 +281,36 @@ async fn move_kept(
                 sleep(PAUSE).await;
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_day_is_in_a_partition_of_days_for_its_retention() {
+        let first = |retention| Arrival::on(20_464, retention).partition;
+        assert_eq!([1, 29, 30, 59].map(first), [20_464; 4]);
+        // 20,464 = 3 · 6,821 + 1 = 12 · 1,705 + 4 = 30 · 682 + 4.
+        assert_eq!([90, 365, 0].map(first), [20_463, 20_460, 20_460]);
+    }
+
+    /// Those of the retention, the two days of its margin, the present one, and one that is cut.
+    #[test]
+    fn no_retention_needs_many_partitions() {
+        for retention_days in 1..10_000 {
+            let days = days_in_partition(retention_days);
+            let partitions = (i64::from(retention_days) + 3) / days + 2;
+            assert!(partitions <= 64, "{partitions} for {retention_days} days");
+        }
+    }
+
+    #[test]
+    fn days_that_cannot_be_stored_have_no_partition() {
+        for day in [-1, 2_932_897, i64::MAX] {
+            assert_eq!(Arrival::on(day, 90).stored_partition(), None, "{day}");
+        }
+        assert_eq!(Arrival::on(0, 0).stored_partition(), Some(0));
     }
 }

@@ -9,7 +9,7 @@ use super::codec::{CodecError, encode_epoch};
 use super::deadline::{DEADLINE, within};
 use super::pool::{Pool, reading};
 use super::solutions::RawSolution;
-use super::{BaseKey, BaseUse, SessionKey, Store, StoreError, StoredSnapshot, StoredSolution};
+use super::{BaseKey, BaseUse, SessionKey, Store, StoreError, StoredSolution};
 
 /// A stored epoch with its real-time answer.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,34 +24,6 @@ pub struct StoredEpoch {
     pub base: Option<BaseUse>,
 }
 
-/// The stored rows from which a session is restored.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct StoredState {
-    /// The newest snapshot.
-    pub(crate) snapshot: Option<StoredSnapshot>,
-    /// All epochs after the snapshot arrived on this day (since 1970-01-01 UTC) or later, if known.
-    pub(crate) since_day: Option<i64>,
-    /// Whether the session may have begun a new arc.
-    pub(crate) has_arcs: bool,
-    /// The first epochs after the snapshot; none without one.
-    pub(crate) epochs: Vec<StoredEpoch>,
-}
-
-/// The newest snapshot of a session, and whether it has arcs.
-const SELECT_STATE: &str = "SELECT seq, configuration_hash, content, since_day, \
-    EXISTS (SELECT 1 FROM session_arcs a WHERE a.session = $1) AS has_arcs \
-    FROM snapshots WHERE session = $1";
-
-/// A row of [`SELECT_STATE`].
-#[derive(sqlx::FromRow)]
-struct RawState {
-    seq: i64,
-    configuration_hash: String,
-    content: Vec<u8>,
-    since_day: Option<i32>,
-    has_arcs: bool,
-}
-
 impl StoredEpoch {
     /// Whether `epoch` equals the stored one, bit by bit.
     pub(crate) fn is(&self, epoch: &Epoch) -> bool {
@@ -59,8 +31,8 @@ impl StoredEpoch {
     }
 }
 
-#[derive(sqlx::FromRow)]
-struct RawEpoch {
+#[derive(Clone, sqlx::FromRow)]
+pub(super) struct RawEpoch {
     epoch: Vec<u8>,
     navigation: i64,
     base: Option<i64>,
@@ -83,30 +55,30 @@ impl RawEpoch {
     }
 }
 
-/// Selects the columns of [`RawEpoch`] of the session `$1`; other conditions follow.
+/// Selects the columns of [`RawEpoch`] of the session `$1`, or of another one; other conditions
+/// follow.
 macro_rules! select_epochs {
     ($conditions:literal) => {
+        $crate::store::epochs::select_epochs!(of "$1", $conditions)
+    };
+    (of $session:literal, $conditions:literal) => {
         concat!(
             "SELECT e.content AS epoch, e.navigation AS navigation, e.base AS base, ",
             "e.base_after AS base_after, e.base_through AS base_through, e.seq AS seq, ",
             "0 AS revision, e.gps_time_ns AS gps_time_ns, e.x_m AS x_m, e.y_m AS y_m, ",
             "e.z_m AS z_m, o.version AS version, o.configuration_hash AS configuration_hash, ",
             "e.solution AS content FROM epochs e JOIN session_heads h ON h.session = e.session ",
-            "LEFT JOIN solution_origins o ON o.key = e.origin WHERE e.session = $1 ",
-            "AND e.seq > COALESCE(h.removed_through, -1) ",
+            "LEFT JOIN solution_origins o ON o.key = e.origin WHERE e.session = ",
+            $session,
+            " AND e.seq > COALESCE(h.removed_through, -1) ",
             $conditions
         )
     };
 }
+pub(super) use select_epochs;
 
 /// The first `$3` epochs of a session after number `$2`.
-const SELECT_AFTER: &str = select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3");
-/// The same on Postgres, of those that arrived on day `$4` or later: from fewer partitions. Rows
-/// without a day are older ones that are kept for longer.
-const SELECT_AFTER_ON: &str = select_epochs!(
-    "AND e.seq > $2 AND (e.day >= DATE '1970-01-01' + $4 OR e.day IS NULL) \
-     ORDER BY e.seq LIMIT $3"
-);
+pub(super) const SELECT_AFTER: &str = select_epochs!("AND e.seq > $2 ORDER BY e.seq LIMIT $3");
 
 impl Store {
     /// The last `count` epochs of a session with their real-time answers, the newest first.
@@ -149,47 +121,6 @@ impl Store {
         });
         let rows = rows.map_err(StoreError::database("reading a session's epochs"))?;
         self.decoded(session, rows).await
-    }
-
-    /// The rows from which a session is restored: its newest snapshot, and up to `count` epochs
-    /// after it. They are read on one connection.
-    ///
-    /// # Errors
-    /// The database fails, or a row is corrupt.
-    pub(crate) async fn stored_state(
-        &self,
-        session: SessionKey,
-        count: usize,
-    ) -> Result<StoredState, StoreError> {
-        let has_partitions = matches!(self.pool, Pool::Postgres { .. });
-        let read = reading!(&self.pool, pool => {
-            let reading = async {
-                let mut connection = pool.acquire().await?;
-                let select = sqlx::query_as(SELECT_STATE).bind(session.0);
-                let state: Option<RawState> = select.fetch_optional(&mut *connection).await?;
-                let Some(state) = state else { return Ok(None) };
-                let day = state.since_day.filter(|_| has_partitions);
-                let sql = if day.is_some() { SELECT_AFTER_ON } else { SELECT_AFTER };
-                let mut select =
-                    sqlx::query_as(sql).bind(session.0).bind(state.seq).bind(count as i64);
-                if let Some(day) = day {
-                    select = select.bind(day);
-                }
-                let rows: Vec<RawEpoch> = select.fetch_all(&mut *connection).await?;
-                Ok::<_, sqlx::Error>(Some((state, rows)))
-            };
-            reading.await
-        });
-        let read = read.map_err(StoreError::database("reading a session's state"))?;
-        let Some((state, rows)) = read else {
-            let (snapshot, since_day, epochs) = (None, None, Vec::new());
-            return Ok(StoredState { snapshot, since_day, has_arcs: true, epochs });
-        };
-        let RawState { seq, configuration_hash, content, since_day, has_arcs } = state;
-        let (seq, configuration_hash) = (seq as u64, configuration_hash.into());
-        let snapshot = Some(StoredSnapshot { seq, configuration_hash, content });
-        let (since_day, epochs) = (since_day.map(i64::from), self.decoded(session, rows).await?);
-        Ok(StoredState { snapshot, since_day, has_arcs, epochs })
     }
 
     /// Number of the epoch that is followed by the last `count` epochs of the session, if there are
@@ -252,7 +183,7 @@ impl Store {
 
     /// Decodes rows in order of their numbers. A row is left out if it has expired since it was
     /// read, and other epochs of its chain have been removed.
-    async fn decoded(
+    pub(super) async fn decoded(
         &self,
         session: SessionKey,
         mut rows: Vec<RawEpoch>,

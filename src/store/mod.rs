@@ -31,6 +31,7 @@ mod heads;
 mod health;
 mod history;
 mod jobs;
+mod joined;
 mod keys;
 mod lease;
 mod named_requests;
@@ -46,6 +47,7 @@ mod rollup;
 #[cfg(test)]
 mod sample;
 mod session_filter;
+mod session_rows;
 mod sessions;
 mod sign_ins;
 mod snapshots;
@@ -75,7 +77,6 @@ pub use committer::{
     ArcStart, Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution, EpochReference, FirstAnswer,
 };
 pub use epochs::StoredEpoch;
-pub(crate) use epochs::StoredState;
 pub use error::StoreError;
 pub use feeds::BaseFeed;
 pub(crate) use heads::SCANNED_HEADS;
@@ -107,15 +108,19 @@ pub use session_filter::SessionFilter;
 pub use sessions::{SessionKey, SessionRow, SessionSettings, StoredConfiguration};
 pub use sign_ins::SignInRow;
 pub use snapshots::StoredSnapshot;
+pub(crate) use snapshots::StoredState;
 pub use solutions::{Revisions, SolutionQuery, StoredSolution};
 pub use tenants::{TenantRow, TenantUse};
 
 use committer::{Committer, Connector, Member, Timing};
 use database::Database;
+pub use days::Arrival;
 use days::Days;
 use deadline::DEADLINE;
 use lease::FileLease;
 use pool::{Pool, reading};
+use session_rows::JoinedRows;
+use snapshots::JoinedStates;
 
 /// The database and its committer. All clones share both.
 #[derive(Clone)]
@@ -123,6 +128,9 @@ pub struct Store {
     pool: Pool,
     /// A connection that reads changed keys and nothing else.
     key_pool: Pool,
+    /// Reads of the rows and states of sessions, which are joined on Postgres.
+    rows: Option<Arc<JoinedRows>>,
+    states: Option<Arc<JoinedStates>>,
     committer: Committer,
     task: Arc<Mutex<Option<JoinHandle<()>>>>,
     settings: Arc<[DatabaseSetting]>,
@@ -196,7 +204,10 @@ impl Store {
         let task = Arc::new(Mutex::new(Some(task)));
         let lease = lease.map(Arc::new);
         let node = node.unwrap_or_default().into();
+        let postgres = pool.postgres();
         Ok(Self {
+            rows: postgres.map(JoinedRows::of),
+            states: postgres.map(JoinedStates::of),
             pool,
             key_pool,
             committer,
@@ -259,7 +270,10 @@ impl Store {
         let (committer, task) = (Committer::stopped(), Arc::default());
         let (settings, lease, days) = (Arc::new([]), None, Arc::default());
         let (member, node) = (None, "".into());
+        let postgres = pool.postgres();
         Self {
+            rows: postgres.map(JoinedRows::of),
+            states: postgres.map(JoinedStates::of),
             pool,
             key_pool,
             committer,

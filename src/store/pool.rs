@@ -150,6 +150,14 @@ impl Pool {
         }
     }
 
+    /// The connections that read and write, on Postgres.
+    pub(super) const fn postgres(&self) -> Option<&PgPool> {
+        match self {
+            Self::Sqlite { .. } => None,
+            Self::Postgres { pool, .. } => Some(pool),
+        }
+    }
+
     /// The lock of the writer, which the committer takes, too.
     pub(super) fn turn(&self) -> Arc<Mutex<()>> {
         match self {

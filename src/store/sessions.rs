@@ -6,17 +6,11 @@ use std::sync::Arc;
 use crate::tenant::Tenant;
 
 use super::audit::note;
-use super::page::rows_asked;
 use super::pool::{reading, writing};
-use super::session_filter::condition;
-use super::{
-    AntennaName, AuditEntry, BaseChoice, BaseKey, BaseName, NamedRequest, Page, SessionFilter,
-    Store, StoreError,
-};
+use super::{AntennaName, AuditEntry, BaseChoice, NamedRequest, Store, StoreError};
 
-const PAGE_LIMIT: usize = 1_000;
 /// Column value of a session that uses the nearest of several bases.
-const NEAREST_OF: i32 = 1;
+pub(super) const NEAREST_OF: i32 = 1;
 
 /// Primary key of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -81,85 +75,14 @@ pub struct SessionRow {
     pub removed_through: Option<u64>,
 }
 
-#[derive(sqlx::FromRow)]
-struct RawSession {
-    key: i64,
-    id: String,
-    tenant: String,
-    label: String,
-    mode: String,
-    profile: String,
-    overrides: String,
-    configuration: String,
-    configuration_hash: String,
-    created_unix_ms: i64,
-    closed_unix_ms: Option<i64>,
-    last_seq: Option<i64>,
-    raw_through: Option<i64>,
-    removed_through: Option<i64>,
-    retention_days: Option<i64>,
-    base: Option<i64>,
-    base_id: Option<String>,
-    base_choice: i32,
-    antenna: Option<String>,
-    calibration: Option<String>,
-}
-
-/// A candidate base of a session: key of the session, key and id of the base.
-type CandidateRow = (i64, i64, String);
-
 /// Mode, profile and options of a configuration, and the hash of the rover antenna's calibration.
 type ConfigurationRow = (String, String, String, Option<String>);
-
-impl RawSession {
-    /// Decodes the row. `candidates` contains the bases of sessions that use the nearest of
-    /// several.
-    fn parse(self, candidates: &[CandidateRow]) -> Result<SessionRow, StoreError> {
-        let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
-        let base = match self.base_choice {
-            0 => self.base.zip(self.base_id).map(|(key, id)| name(key, id)).into(),
-            NEAREST_OF => {
-                let own = candidates.iter().filter(|(session, ..)| *session == self.key);
-                BaseChoice::NearestOf(own.map(|(_, base, id)| name(*base, id.clone())).collect())
-            }
-            2 => BaseChoice::Nearest,
-            other => {
-                let why = format!("{other} is not a choice of bases");
-                return Err(StoreError::CorruptText { what: "session", why });
-            }
-        };
-        let antenna = self.antenna.zip(self.calibration);
-        let antenna = antenna
-            .map(|(name, calibration)| AntennaName { name, calibration: calibration.into() });
-        Ok(SessionRow {
-            key: SessionKey(self.key),
-            id: self.id,
-            tenant: Tenant::stored(&self.tenant),
-            settings: SessionSettings {
-                label: self.label,
-                mode: self.mode,
-                profile: self.profile,
-                overrides: options_from(&self.overrides)?,
-                configuration: options_from(&self.configuration)?,
-                configuration_hash: self.configuration_hash.into(),
-                base,
-                antenna,
-                retention_days: self.retention_days.map(|days| days as u32),
-            },
-            created_unix_ms: self.created_unix_ms,
-            closed_unix_ms: self.closed_unix_ms,
-            last_seq: self.last_seq.map(|seq| seq as u64),
-            raw_through: self.raw_through.map(|through| through as u64),
-            removed_through: self.removed_through.map(|seq| seq as u64),
-        })
-    }
-}
 
 fn options_text(options: &BTreeMap<String, String>) -> String {
     serde_json::to_string(options).expect("a map of texts is JSON")
 }
 
-fn options_from(text: &str) -> Result<BTreeMap<String, String>, StoreError> {
+pub(super) fn options_from(text: &str) -> Result<BTreeMap<String, String>, StoreError> {
     serde_json::from_str(text)
         .map_err(|error| StoreError::CorruptText { what: "configuration", why: error.to_string() })
 }
@@ -189,21 +112,6 @@ macro_rules! insert_candidates {
                 insert.execute(&mut *$transaction).await?;
             }
         }
-    };
-}
-
-/// Selects the columns of [`RawSession`]; a condition follows.
-macro_rules! select_sessions {
-    ($($condition:tt)+) => {
-        concat!(
-            "SELECT s.key AS key, id, tenant, label, mode, profile, overrides, configuration, ",
-            "configuration_hash, created_unix_ms, h.closed_unix_ms AS closed_unix_ms, ",
-            "last_seq, raw_through, removed_through, retention_days, ",
-            "base, (SELECT id FROM bases WHERE bases.key = s.base) AS base_id, ",
-            "base_choice, antenna, calibration ",
-            "FROM sessions s JOIN session_heads h ON h.session = s.key ",
-            $($condition)+
-        )
     };
 }
 
@@ -286,106 +194,6 @@ impl Store {
             raw_through: None,
             removed_through: None,
         }))
-    }
-
-    /// The session of a tenant with this id.
-    ///
-    /// # Errors
-    /// The database fails, or the row is corrupt.
-    pub async fn session(
-        &self,
-        tenant: &Tenant,
-        id: &str,
-    ) -> Result<Option<SessionRow>, StoreError> {
-        self.session_of(tenant.name(), id).await
-    }
-
-    /// The session with this id, of any tenant: for the session's own task, and for commands with
-    /// direct access to the database.
-    ///
-    /// # Errors
-    /// The database fails, or the row is corrupt.
-    pub async fn session_of_any(&self, id: &str) -> Result<Option<SessionRow>, StoreError> {
-        self.session_of("", id).await
-    }
-
-    /// The session of a tenant; of any tenant if the name is empty.
-    async fn session_of(&self, tenant: &str, id: &str) -> Result<Option<SessionRow>, StoreError> {
-        let row: Result<Option<RawSession>, _> = reading!(&self.pool, pool => {
-            let sql = select_sessions!(
-                "WHERE id = $1 AND ($2 = '' OR tenant = $2) AND s.deleted_unix_ms IS NULL"
-            );
-            sqlx::query_as(sql).bind(id).bind(tenant).fetch_optional(pool).await
-        });
-        let Some(row) = row.map_err(StoreError::database("reading a session"))? else {
-            return Ok(None);
-        };
-        let candidates = match row.base_choice {
-            NEAREST_OF => self.candidates(row.key, row.key).await?,
-            _ => Vec::new(),
-        };
-        row.parse(&candidates).map(Some)
-    }
-
-    /// The key of a tenant's session, even if it is deleted.
-    pub(super) async fn key_of(
-        &self,
-        tenant: &Tenant,
-        id: &str,
-    ) -> Result<Option<i64>, StoreError> {
-        let key: Result<Option<i64>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key FROM sessions WHERE id = $1 AND tenant = $2";
-            sqlx::query_scalar(sql).bind(id).bind(tenant.name()).fetch_optional(pool).await
-        });
-        key.map_err(StoreError::database("reading a session"))
-    }
-
-    /// The candidate bases of the sessions in a range of keys, in the order that each session has.
-    async fn candidates(&self, from: i64, to: i64) -> Result<Vec<CandidateRow>, StoreError> {
-        let rows: Result<Vec<CandidateRow>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT session, bases.key, bases.id FROM session_bases
-                       JOIN bases ON bases.key = session_bases.base
-                       WHERE session BETWEEN $1 AND $2 ORDER BY session, place";
-            sqlx::query_as(sql).bind(from).bind(to).fetch_all(pool).await
-        });
-        rows.map_err(StoreError::database("reading a session's bases"))
-    }
-
-    /// A page of the sessions of a tenant.
-    ///
-    /// # Errors
-    /// The page token or size is invalid, or the database fails.
-    pub(crate) async fn sessions(
-        &self,
-        tenant: &Tenant,
-        filter: &SessionFilter,
-        page_size: usize,
-        page_token: Option<&str>,
-    ) -> Result<Page<SessionRow>, StoreError> {
-        let rows_asked = rows_asked(page_size, PAGE_LIMIT)?;
-        let beside = match page_token {
-            None => filter.start(),
-            Some(id) => {
-                let key = self.key_of(tenant, id).await?;
-                key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
-            }
-        };
-        let rows: Result<Vec<RawSession>, _> = reading!(&self.pool, pool => {
-            let sql = match filter.oldest_first {
-                true => select_sessions!(condition!(oldest_first)),
-                false => select_sessions!(condition!(newest_first)),
-            };
-            let select = sqlx::query_as(sql).bind(tenant.name()).bind(beside).bind(rows_asked);
-            let select = select.bind(filter.closed_column()).bind(&filter.mode);
-            select.bind(&filter.label).fetch_all(pool).await
-        });
-        let rows = rows.map_err(StoreError::database("listing sessions"))?;
-        let keys = rows.last().zip(rows.first()).map(|(last, first)| (last.key, first.key));
-        let candidates = match keys {
-            Some((one, other)) => self.candidates(one.min(other), one.max(other)).await?,
-            None => Vec::new(),
-        };
-        Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))
     }
 
     /// Replaces a session's settings, and writes the entry of the audit log.

@@ -77,7 +77,7 @@ impl SolutionQuery {
     }
 }
 
-#[derive(sqlx::FromRow)]
+#[derive(Clone, sqlx::FromRow)]
 pub(super) struct RawSolution {
     pub(super) seq: i64,
     revision: i32,

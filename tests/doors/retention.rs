@@ -23,6 +23,7 @@ on_both_databases!(
     a_step_of_the_clock_removes_nothing,
     a_replay_needs_a_readable_snapshot,
     a_restore_finds_epochs_of_earlier_days,
+    a_restore_finds_epochs_after_a_change_of_the_retention,
 );
 
 const MS_PER_DAY: i64 = 86_400_000;
@@ -34,8 +35,12 @@ const DAYS: u64 = 6;
 const RETENTION: u32 = 2;
 
 async fn desk(store: &Store, clock: &Clock) -> Sessions {
+    desk_for(store, clock, RETENTION).await
+}
+
+async fn desk_for(store: &Store, clock: &Clock, retention_days: u32) -> Sessions {
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
-    let limits = SessionLimits { retention_days: RETENTION, ..SessionLimits::service() };
+    let limits = SessionLimits { retention_days, ..SessionLimits::service() };
     Sessions::open_at(store.clone(), aiding, limits, clock.clone())
 }
 
@@ -199,6 +204,35 @@ async fn days_are_dropped_and_what_is_kept_is_moved() {
     .await;
 }
 
+/// With a retention of 90 days three days have a partition. It is dropped once all of them are
+/// older, and what is kept longer is then moved.
+#[tokio::test]
+async fn a_long_retention_has_partitions_of_several_days() {
+    on_postgres(async |database| {
+        let (store, clock) = (database.store().await, Clock::at(START));
+        let sessions = desk_for(&store, &clock, 90).await;
+        let id = sessions.create(new_session()).await.unwrap().id;
+        let mut counts = Vec::new();
+        for day in 0..6 {
+            live_a_day(&sessions, &clock, &id, day).await;
+            counts.push(days(&database, "epochs").await);
+        }
+        assert_eq!(counts, [1, 1, 1, 2, 2, 2]);
+        // The session's oldest snapshots expire, and with them all before the last day's first.
+        for (day, partitions, moved) in
+            [(89, 2, false), (96, 1, false), (97, 1, false), (98, 0, true)]
+        {
+            clock.set(START + day * MS_PER_DAY);
+            sessions.remove_expired().await.unwrap();
+            assert_eq!(days(&database, "epochs").await, partitions, "day {day}");
+            assert_eq!(0 < database.count("epochs_kept").await, moved, "day {day}");
+        }
+        let listed = sessions.solutions(&id, &whole_session()).await.unwrap().page.items;
+        assert!(!listed.is_empty() && listed.iter().all(|solution| 5 * PER_DAY < solution.seq));
+    })
+    .await;
+}
+
 /// A session's own retention replaces the service's, also after a change.
 async fn a_session_has_its_own_retention(database: Database) {
     let (store, clock) = (database.store().await, Clock::at(START));
@@ -354,7 +388,8 @@ async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
     let retention_days = Some(0);
     let session = NewSession { mode: "ekf".to_owned(), retention_days, ..new_session() };
     let id = sessions.create(session).await.unwrap().id;
-    let since = |day: i64| format!("snapshots WHERE since_day = {day}");
+    // With a retention of 90 days, three days have a partition.
+    let since = |day: i64| format!("snapshots WHERE since_day = {}", day - day % 3);
     let today = now / MS_PER_DAY;
     for (days_back, count, stored_back) in [(0, 300, 0), (3, 2, 3), (3, 2, 3), (0, 2, 3)] {
         clock.step(now - days_back * MS_PER_DAY);
@@ -370,4 +405,31 @@ async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
     assert_eq!(next.solution.seq, 307);
     let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
     assert!(check.is_same() && 307 <= check.compared, "{check:?}");
+}
+
+/// Epochs that are kept for ever are in partitions of thirty days, others in partitions of fewer. A
+/// state is stored with the first day of the shorter ones. When the service's retention becomes
+/// longer, it is stored again, so that a restore finds the epochs since.
+async fn a_restore_finds_epochs_after_a_change_of_the_retention(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START + 10 * MS_PER_DAY));
+    let sessions = desk_for(&store, &clock, 90).await;
+    let id = sessions.create(new_session()).await.unwrap().id;
+    let push = async |sessions: &Sessions, seqs: std::ops::RangeInclusive<u64>| {
+        let epochs = seqs.map(|seq| epoch(seq, seq as f64)).collect();
+        let submitted = sessions.submit(&id, epochs).await.unwrap();
+        assert!(submitted.outcomes.iter().all(|outcome| outcome.result.is_ok()));
+    };
+    push(&sessions, 1..=300).await;
+    // Day 20,464 is the second of three, and the fifth of thirty.
+    for (retention, seq, first_day) in [(90, 301, 20_463), (0, 302, 20_460), (90, 303, 20_460)] {
+        let sessions = desk_for(&store, &clock, retention).await;
+        push(&sessions, seq..=seq).await;
+        let stored = database.count(&format!("snapshots WHERE since_day = {first_day}")).await;
+        assert_eq!(stored, 1, "after epoch {seq}");
+    }
+    let sessions = desk_for(&store, &clock, 90).await;
+    push(&sessions, 304..=304).await;
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
+    assert!(check.is_same() && 304 <= check.compared, "{check:?}");
 }

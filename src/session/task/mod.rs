@@ -297,9 +297,9 @@ impl Task {
         }
         let stored = self.lookup(&plans).await?;
         let keeps_snapshot = snapshot.is_some() && rules.keeps_snapshot;
-        let (day, epochs) = (Some(rules.day), rows);
+        let (arrival, epochs) = (Some(rules.arrival), rows);
         let batch = self.batch(active.as_ref().and_then(Active::last_seq));
-        let batch = Batch { day, epochs, revisions, snapshot, keeps_snapshot, ..batch };
+        let batch = Batch { arrival, epochs, revisions, snapshot, keeps_snapshot, ..batch };
         let batch = Batch { raw, is_patient, ..batch };
         if !batch.is_empty() {
             let begun = Instant::now();

@@ -17,10 +17,10 @@ use crate::session::batch::EpochRules;
 use crate::session::configurations::ActiveConfiguration;
 use crate::session::panics::caught;
 use crate::session::parked::{ParkedState, stores_until};
-use crate::session::replay::{PAGE, Replay, ReplayWith, restored};
+use crate::session::replay::{Replay, ReplayWith, restored};
 use crate::session::solvers::Lane;
 use crate::session::state::State;
-use crate::store::{Batch, SessionRow, StoreError};
+use crate::store::{Arrival, Batch, SessionRow, StoreError};
 
 use super::{Active, Known, Task};
 
@@ -42,7 +42,12 @@ const ENCODED_HERE: usize = 64;
 impl Task {
     /// A batch of today without changes, which continues the session after number `previous`.
     pub(super) fn batch(&self, previous: Option<u64>) -> Batch {
-        Batch { day: Some(self.clock.day()), ..Batch::new(self.key, previous) }
+        Batch { arrival: Some(self.arrival()), ..Batch::new(self.key, previous) }
+    }
+
+    /// The present day. The service's own retention divides the log, not that of a session.
+    fn arrival(&self) -> Arrival {
+        Arrival::on(self.clock.day(), self.retention_days)
     }
 
     /// The rules for the next batch.
@@ -51,7 +56,7 @@ impl Task {
         EpochRules {
             observations_max: self.observations_per_epoch,
             now: gps_time(self.clock.unix_ms()),
-            day: self.clock.day(),
+            arrival: self.arrival(),
             future_s: self.future_s,
             replay_max: self.replay_max(),
             keeps_snapshot,
@@ -143,8 +148,7 @@ impl Task {
         }
         let (key, previous) = (state.key, Some(state.seq));
         let snapshot = Some(state.into_snapshot());
-        let day = Some(self.clock.day());
-        self.store_state(Batch { snapshot, day, ..Batch::new(key, previous) }).await;
+        self.store_state(Batch { snapshot, ..Batch::new(key, previous) }).await;
     }
 
     async fn store_state(&self, batch: Batch) {
@@ -206,7 +210,7 @@ impl Task {
     ) -> Result<State, SessionError> {
         // Only few at a time, so that the first sessions are ready long before the last.
         let _admitted = self.solvers.admitted_restore().await;
-        let stored = self.store.stored_state(self.key, PAGE).await?;
+        let stored = self.store.stored_state(self.key).await?;
         let arcs = match stored.has_arcs {
             true => self.store.arcs(self.key).await?,
             false => Vec::new(),

@@ -8,10 +8,7 @@ use crate::store::codec::{
     Distances, Measures, SolutionSummary, encode_epoch, encode_relative_epoch, encode_revision,
     encode_solution, solution_columns, solution_measures, solution_summary, status_number,
 };
-use crate::store::{AuditEntry, BaseUse, RawChange, SessionKey, StoredSolution};
-
-/// Days that have partitions: from 1970-01-01 to 9999-12-31.
-const DAYS: std::ops::RangeInclusive<i64> = 0..=2_932_896;
+use crate::store::{Arrival, AuditEntry, BaseUse, RawChange, SessionKey, StoredSolution};
 
 /// The changes of one session that are committed together.
 #[derive(Clone, Debug)]
@@ -26,8 +23,8 @@ pub struct Batch {
     pub revisions: Vec<EncodedSolution>,
     /// The session's state after the last of the epochs.
     pub snapshot: Option<EncodedSnapshot>,
-    /// The day of arrival, since 1970-01-01 UTC; `None` if it is not known.
-    pub day: Option<i64>,
+    /// When it arrived; `None` if it is not known.
+    pub arrival: Option<Arrival>,
     /// Whether the snapshot is also kept for replay, if it is the first of its day.
     pub keeps_snapshot: bool,
     /// The chunk of raw bytes from which the epochs were decoded.
@@ -52,7 +49,7 @@ impl Batch {
             epochs: Vec::new(),
             revisions: Vec::new(),
             snapshot: None,
-            day: None,
+            arrival: None,
             keeps_snapshot: false,
             raw: None,
             arc: None,
@@ -87,9 +84,14 @@ impl Batch {
         epochs.chain(revisions).sum()
     }
 
-    /// The day of its partition; `None` if the day is unknown or has no partition.
+    /// The day of arrival as it is stored; `None` if it is not known.
+    pub(super) fn day(&self) -> Option<i32> {
+        self.arrival.and_then(Arrival::stored_day)
+    }
+
+    /// First day of its partition; `None` if the day is unknown or has no partition.
     pub(super) fn partition(&self) -> Option<i32> {
-        self.day.filter(|day| DAYS.contains(day)).map(|day| day as i32)
+        self.arrival.and_then(Arrival::stored_partition)
     }
 }
 
@@ -256,8 +258,8 @@ pub struct EncodedSnapshot {
 }
 
 impl EncodedSnapshot {
-    /// The state after epoch `seq`, with the hash of its configuration. All later epochs arrive on
-    /// `since_day` (since 1970-01-01 UTC) or a later day, if it is known.
+    /// The state after epoch `seq`, with the hash of its configuration. All later epochs are in
+    /// partitions that begin on `since_day` (since 1970-01-01 UTC) or later, if it is known.
     pub fn new(
         seq: u64,
         configuration_hash: Arc<str>,

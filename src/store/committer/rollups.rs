@@ -264,7 +264,7 @@ pub(super) fn rows(batches: &[&Batch]) -> Vec<Row> {
             for length_s in [MINUTE_S, HOUR_S] {
                 let key = (batch.session.0, length_s, time_s.div_euclid(length_s) * length_s);
                 let row = rows.entry(key).or_insert_with(|| Row::new(key, epoch));
-                row.take(batch.partition(), epoch);
+                row.take(batch.day(), epoch);
             }
         }
     }

@@ -227,10 +227,10 @@ async fn write_changes(
                 .await?;
         }
         let kept = batch.snapshot.as_ref().filter(|_| batch.keeps_snapshot);
-        if let (Some(snapshot), Some(day)) = (kept, batch.day) {
+        if let (Some(snapshot), Some(arrival)) = (kept, batch.arrival) {
             sqlx::query(KEEP_SNAPSHOT)
                 .bind(session)
-                .bind(day)
+                .bind(arrival.day)
                 .bind(snapshot.seq)
                 .bind(&*snapshot.configuration_hash)
                 .bind(&snapshot.content[..])

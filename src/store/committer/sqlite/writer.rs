@@ -223,7 +223,7 @@ impl<'c> Writer<'c> {
     fn write_changes(&self, batch: &Batch) -> rusqlite::Result<()> {
         let session = batch.session.0;
         if let Some(snapshot) = &batch.snapshot {
-            let kept_on = batch.day.filter(|_| batch.keeps_snapshot);
+            let kept_on = batch.arrival.filter(|_| batch.keeps_snapshot).map(|arrival| arrival.day);
             self.write_snapshot(session, snapshot, kept_on)?;
         }
         if let Some(arc) = &batch.arc {
