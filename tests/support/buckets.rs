@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
+use std::time::Duration;
 
 use graphfix::config::{S3Configuration, S3Keys};
 
@@ -29,6 +30,8 @@ pub(crate) enum Fault {
     Cuts(usize, usize),
     /// Lists objects as if they were years old.
     Old,
+    /// Stores no object whose name contains this, and does not answer before the behaviour changes.
+    Holds(&'static str),
 }
 
 /// The service with an empty bucket, behind its proxy. It ends when dropped.
@@ -193,6 +196,12 @@ fn forward(
         Fault::Away => return Ok(()),
         Fault::Refuses(_, status, code) => return refuse(&mut client, status, code),
         Fault::Flaky(_, 0) => return refuse(&mut client, "503 Slow Down", "SlowDown"),
+        Fault::Holds(part) if head.lines().next().is_some_and(|line| is_upload_of(line, part)) => {
+            while *fault.lock().unwrap() == now {
+                thread::sleep(Duration::from_millis(10));
+            }
+            return Ok(());
+        }
         _ => {}
     }
     let mut server = TcpStream::connect(("127.0.0.1", port))?;
@@ -213,6 +222,11 @@ fn forward(
         _ => {}
     }
     client.write_all(&answer)
+}
+
+/// Whether the first line of a request uploads an object whose name contains `part`.
+fn is_upload_of(line: &str, part: &str) -> bool {
+    line.starts_with("put ") && line.contains(part)
 }
 
 fn refuse(client: &mut TcpStream, status: &str, code: &str) -> std::io::Result<()> {
