@@ -12,8 +12,8 @@ use graphfix::gnss::{
     Navigation, NavigationMessage, NeQuickCoefficients, Solution, Status,
 };
 use graphfix::store::{
-    BaseChoice, Batch, EncodedEpoch, Page, Revisions, SessionKey, SessionSettings, SolutionQuery,
-    Store, StoreError, StoredSolution,
+    Arrival, BaseChoice, Batch, EncodedEpoch, EncodedSnapshot, Page, Revisions, SessionKey,
+    SessionSettings, SolutionQuery, Store, StoreError, StoredSolution,
 };
 use graphfix::tenant::Tenant;
 
@@ -26,6 +26,7 @@ on_both_databases!(
     a_batch_is_stored_whole_or_not_at_all,
     one_contradiction_fails_alone,
     large_batches_of_any_size_are_stored,
+    states_of_one_transaction_are_stored,
     a_newer_schema_is_refused,
     a_schema_that_cannot_be_migrated_is_refused,
     navigation_survives_a_restart,
@@ -196,6 +197,44 @@ async fn large_batches_of_any_size_are_stored(database: Database) {
     assert_eq!(rows, (0..first).map(|seq| (seq, 0)).collect::<Vec<_>>());
     let last = store.last_epochs(key, 1).await.unwrap().pop().unwrap();
     assert_eq!(last.epoch, Epoch::new(time(first - 1)));
+}
+
+/// Of the states that a transaction has of a session the newest is stored, and the first of a day is
+/// kept. The first batch has a transaction of its own, and those that wait meanwhile share the next.
+async fn states_of_one_transaction_are_stored(database: Database) {
+    let store = database.store().await;
+    let [alone, one, other] = [
+        session(&store, "alone").await,
+        session(&store, "one").await,
+        session(&store, "other").await,
+    ];
+    let state = |session, seq: u64, day, keeps_snapshot| {
+        let content = seq.to_be_bytes().to_vec();
+        let snapshot = EncodedSnapshot::new(seq, "c0ffee".into(), content, Some(day));
+        let arrival = Some(Arrival::on(day, 7));
+        Batch { snapshot: Some(snapshot), arrival, keeps_snapshot, ..Batch::new(session, None) }
+    };
+    let batches = [
+        state(alone, 1, 20_000, false),
+        state(one, 5, 20_000, true),
+        state(other, 3, 20_000, true),
+        state(one, 9, 20_000, true),
+        state(one, 7, 20_001, true),
+        state(other, 4, 20_000, false),
+    ];
+    let committed =
+        futures::future::join_all(batches.into_iter().map(|batch| store.commit(batch))).await;
+    committed.into_iter().for_each(|committed| committed.unwrap());
+    for (session, newest) in [(alone, 1_u64), (one, 9), (other, 4)] {
+        let stored = store.snapshot(session).await.unwrap().unwrap();
+        assert_eq!((stored.seq, stored.content), (newest, newest.to_be_bytes().to_vec()));
+    }
+    let kept = [(5, 20_000), (3, 20_000), (7, 20_001)];
+    assert_eq!(database.count("kept_snapshots").await, kept.len() as i64);
+    for (seq, day) in kept {
+        let row = format!("kept_snapshots WHERE seq = {seq} AND day = {day}");
+        assert_eq!(database.count(&row).await, 1, "{row}");
+    }
 }
 
 async fn a_newer_schema_is_refused(database: Database) {

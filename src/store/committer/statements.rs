@@ -1,11 +1,13 @@
 //! Statements that insert: on Postgres many rows as arrays, on SQLite row by row (`sqlite`).
 
+use std::collections::BTreeMap;
+
 use sqlx::PgConnection;
 
 use crate::gnss::{GpsTime, LeapSeconds};
 use crate::store::audit::note;
 
-use super::batch::{Batch, EncodedEpoch, EncodedSolution};
+use super::batch::{Batch, EncodedEpoch, EncodedSnapshot, EncodedSolution};
 use super::origins::OriginKeys;
 use super::raw::write_raw_postgres;
 use super::rollups::write_rollups_postgres;
@@ -65,17 +67,36 @@ const POSTGRES_REVISIONS: &str = concat!(
     answer_columns!(),
     ") ON CONFLICT DO NOTHING"
 );
-/// The newest state is kept, in whatever order the writers commit.
-pub(super) const UPSERT_SNAPSHOT: &str = "INSERT INTO snapshots \
-    (session, seq, configuration_hash, content, since_day) VALUES ($1, $2, $3, $4, $5) \
-    ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, \
-    configuration_hash = excluded.configuration_hash, content = excluded.content, \
-    since_day = excluded.since_day \
-    WHERE snapshots.seq <= excluded.seq";
-/// The first state of a day stays.
-pub(super) const KEEP_SNAPSHOT: &str = "INSERT INTO kept_snapshots \
-    (session, day, seq, configuration_hash, content) VALUES ($1, $2, $3, $4, $5) \
-    ON CONFLICT (session, day) DO NOTHING";
+/// Inserts states of sessions. The newest state is kept, in whatever order the writers commit.
+macro_rules! upsert_snapshots {
+    ($values:literal) => {
+        concat!(
+            "INSERT INTO snapshots (session, seq, configuration_hash, content, since_day) ",
+            $values,
+            " ON CONFLICT (session) DO UPDATE SET seq = excluded.seq, ",
+            "configuration_hash = excluded.configuration_hash, content = excluded.content, ",
+            "since_day = excluded.since_day WHERE snapshots.seq <= excluded.seq"
+        )
+    };
+}
+/// Inserts states that are kept for replay. The first state of a day stays.
+macro_rules! keep_snapshots {
+    ($values:literal) => {
+        concat!(
+            "INSERT INTO kept_snapshots (session, day, seq, configuration_hash, content) ",
+            $values,
+            " ON CONFLICT (session, day) DO NOTHING"
+        )
+    };
+}
+pub(super) const UPSERT_SNAPSHOT: &str = upsert_snapshots!("VALUES ($1, $2, $3, $4, $5)");
+pub(super) const KEEP_SNAPSHOT: &str = keep_snapshots!("VALUES ($1, $2, $3, $4, $5)");
+const POSTGRES_SNAPSHOTS: &str = upsert_snapshots!(
+    "SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::text[], $4::bytea[], $5::integer[])"
+);
+const POSTGRES_KEPT: &str = keep_snapshots!(
+    "SELECT * FROM UNNEST($1::bigint[], $2::bigint[], $3::bigint[], $4::text[], $5::bytea[])"
+);
 pub(super) const INSERT_ARC: &str = "INSERT INTO session_arcs \
     (session, after_seq, created_unix_ms) VALUES ($1, $2, $3) \
     ON CONFLICT (session, after_seq) DO NOTHING";
@@ -170,6 +191,7 @@ pub(super) async fn write_postgres(
     }
     write_raw_postgres(transaction, batches).await?;
     write_rollups_postgres(transaction, batches).await?;
+    write_snapshots(transaction, batches).await?;
     write_changes(transaction, batches).await
 }
 
@@ -209,6 +231,48 @@ async fn insert_revision_arrays(
     bind_answers!(insert, answers).execute(connection).await.map(drop)
 }
 
+/// Writes the states of sessions. Sessions that began together store their states within seconds
+/// of each other, many in a transaction.
+async fn write_snapshots(
+    transaction: &mut PgConnection,
+    batches: &[&Batch],
+) -> Result<(), sqlx::Error> {
+    let mut newest: BTreeMap<i64, &EncodedSnapshot> = BTreeMap::new();
+    let mut kept = Vec::new();
+    for batch in batches {
+        let Some(snapshot) = &batch.snapshot else { continue };
+        // A statement must not update a row twice.
+        let stored = newest.entry(batch.session.0).or_insert(snapshot);
+        if stored.seq <= snapshot.seq {
+            *stored = snapshot;
+        }
+        if let Some(arrival) = batch.arrival.filter(|_| batch.keeps_snapshot) {
+            kept.push((batch.session.0, arrival.day, snapshot));
+        }
+    }
+    if !newest.is_empty() {
+        sqlx::query(POSTGRES_SNAPSHOTS)
+            .bind(newest.keys().copied().collect::<Vec<_>>())
+            .bind(newest.values().map(|snapshot| snapshot.seq).collect::<Vec<_>>())
+            .bind(newest.values().map(|s| &*s.configuration_hash).collect::<Vec<_>>())
+            .bind(newest.values().map(|s| &s.content[..]).collect::<Vec<_>>())
+            .bind(newest.values().map(|snapshot| snapshot.stored_day()).collect::<Vec<_>>())
+            .execute(&mut *transaction)
+            .await?;
+    }
+    if !kept.is_empty() {
+        sqlx::query(POSTGRES_KEPT)
+            .bind(kept.iter().map(|(session, ..)| *session).collect::<Vec<_>>())
+            .bind(kept.iter().map(|(_, day, _)| *day).collect::<Vec<_>>())
+            .bind(kept.iter().map(|(.., snapshot)| snapshot.seq).collect::<Vec<_>>())
+            .bind(kept.iter().map(|(.., s)| &*s.configuration_hash).collect::<Vec<_>>())
+            .bind(kept.iter().map(|(.., s)| &s.content[..]).collect::<Vec<_>>())
+            .execute(transaction)
+            .await?;
+    }
+    Ok(())
+}
+
 /// Writes the parts of batches that most batches do not have.
 async fn write_changes(
     transaction: &mut PgConnection,
@@ -216,27 +280,6 @@ async fn write_changes(
 ) -> Result<(), sqlx::Error> {
     for batch in batches {
         let session = batch.session.0;
-        if let Some(snapshot) = &batch.snapshot {
-            sqlx::query(UPSERT_SNAPSHOT)
-                .bind(session)
-                .bind(snapshot.seq)
-                .bind(&*snapshot.configuration_hash)
-                .bind(&snapshot.content[..])
-                .bind(snapshot.stored_day())
-                .execute(&mut *transaction)
-                .await?;
-        }
-        let kept = batch.snapshot.as_ref().filter(|_| batch.keeps_snapshot);
-        if let (Some(snapshot), Some(arrival)) = (kept, batch.arrival) {
-            sqlx::query(KEEP_SNAPSHOT)
-                .bind(session)
-                .bind(arrival.day)
-                .bind(snapshot.seq)
-                .bind(&*snapshot.configuration_hash)
-                .bind(&snapshot.content[..])
-                .execute(&mut *transaction)
-                .await?;
-        }
         if let Some(arc) = &batch.arc {
             let insert = sqlx::query(INSERT_ARC).bind(session).bind(arc.after_seq as i64);
             insert.bind(arc.unix_ms).execute(&mut *transaction).await?;
