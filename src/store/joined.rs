@@ -2,7 +2,8 @@
 //!
 //! After a restart thousands of sessions are read. A statement for several of them costs a server
 //! little more than a statement for one: it is planned once, and sent once. A read that comes alone
-//! is executed at once. Reads that come sooner after another than [`PAUSE`] wait for each other.
+//! is executed at once. Others wait while two statements are executed, or until a pause after the
+//! beginning of the last one is over.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -17,20 +18,25 @@ use super::deadline::within;
 
 /// Statements of one kind at the same time. While one is executed, the rows of the other are read.
 const STATEMENTS: usize = 2;
-/// Time from the beginning of a statement to that of the next, unless as many keys wait as it may
-/// have. It is about the time in which a session is restored from what is read.
-const PAUSE: Duration = Duration::from_millis(10);
 
 /// Reads the values of some keys, in their order.
 type Read<K, V> = dyn Fn(Vec<K>) -> BoxFuture<'static, Result<Vec<V>, StoreError>> + Send + Sync;
 
+/// How reads of one kind are joined.
+pub(super) struct Rules {
+    /// What they do, for errors.
+    pub(super) operation: &'static str,
+    /// Most keys in a statement.
+    pub(super) keys_max: usize,
+    /// Time from the beginning of a statement to that of the next, unless `keys_max` keys wait.
+    pub(super) pause: Duration,
+    /// Time that a reader waits for its value.
+    pub(super) limit: Duration,
+}
+
 /// Reads of one kind.
 pub(super) struct Joined<K, V> {
-    operation: &'static str,
-    /// Most keys in a statement.
-    keys_max: usize,
-    /// Time that a reader waits for its value.
-    limit: Duration,
+    rules: Rules,
     read: Box<Read<K, V>>,
     queue: Mutex<Queue<K, V>>,
     /// Tells that as many keys wait as a statement may have.
@@ -52,20 +58,16 @@ struct Waiting<K, V> {
 }
 
 impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
-    /// Reads by `read`, which gets up to `keys_max` keys at once. A reader waits up to `limit`.
+    /// Reads by `read`, which gets the keys of a statement.
     pub(super) fn new<F>(
-        operation: &'static str,
-        keys_max: usize,
-        limit: Duration,
+        rules: Rules,
         read: impl Fn(Vec<K>) -> F + Send + Sync + 'static,
     ) -> Arc<Self>
     where
         F: Future<Output = Result<Vec<V>, StoreError>> + Send + 'static,
     {
         Arc::new(Self {
-            operation,
-            keys_max,
-            limit,
+            rules,
             read: Box::new(move |keys| Box::pin(read(keys))),
             queue: Mutex::new(Queue { waiting: VecDeque::new(), begun: None }),
             full: Notify::new(),
@@ -82,13 +84,13 @@ impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
         let is_full = {
             let mut queue = self.queue();
             queue.waiting.push_back(Waiting { key, reader });
-            self.keys_max <= queue.waiting.len()
+            self.rules.keys_max <= queue.waiting.len()
         };
         if is_full {
             self.full.notify_one();
         }
-        let read = within(self.limit, async { Ok(self.received(value).await) });
-        read.await.map_err(StoreError::database(self.operation))?
+        let read = within(self.rules.limit, async { Ok(self.received(value).await) });
+        read.await.map_err(StoreError::database(self.rules.operation))?
     }
 
     /// Waits for a value, and executes statements meanwhile. So each key that waits has a reader
@@ -107,7 +109,7 @@ impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
             }
         };
         received.unwrap_or_else(|_| {
-            Err(StoreError::database(self.operation)(sqlx::Error::WorkerCrashed))
+            Err(StoreError::database(self.rules.operation)(sqlx::Error::WorkerCrashed))
         })
     }
 
@@ -116,10 +118,10 @@ impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
         let permit = self.statements.clone().acquire_owned().await;
         let begins = {
             let queue = self.queue();
-            let is_full = self.keys_max <= queue.waiting.len();
-            queue.begun.filter(|_| !is_full).map(|begun| begun + PAUSE)
+            let is_full = self.rules.keys_max <= queue.waiting.len();
+            queue.begun.filter(|_| !is_full).map(|begun| begun + self.rules.pause)
         };
-        if let Some(begins) = begins {
+        if let Some(begins) = begins.filter(|begins| Instant::now() < *begins) {
             tokio::select! {
                 () = sleep_until(begins) => {}
                 () = self.full.notified() => {}
@@ -132,7 +134,7 @@ impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
     fn execute(self: &Arc<Self>, permit: OwnedSemaphorePermit) -> bool {
         let (mut keys, mut readers) = (Vec::new(), Vec::new());
         let mut queue = self.queue();
-        while let Some(next) = queue.waiting.pop_front_if(|_| keys.len() < self.keys_max) {
+        while let Some(next) = queue.waiting.pop_front_if(|_| keys.len() < self.rules.keys_max) {
             if !next.reader.is_closed() {
                 keys.push(next.key);
                 readers.push(next.reader);
@@ -172,8 +174,12 @@ mod tests {
     use super::*;
     use futures::future::join_all;
 
-    const OPERATION: &str = "reading squares";
     const LIMIT: Duration = Duration::from_secs(60);
+
+    const fn rules(limit: Duration) -> Rules {
+        let pause = Duration::from_millis(10);
+        Rules { operation: "reading squares", keys_max: 4, pause, limit }
+    }
 
     /// Reads squares, once `gate` is open, and counts statements.
     fn squares(
@@ -182,7 +188,7 @@ mod tests {
         limit: Duration,
     ) -> Arc<Joined<u64, u64>> {
         let (gate, statements) = (gate.clone(), statements.clone());
-        Joined::new(OPERATION, 4, limit, move |keys: Vec<u64>| {
+        Joined::new(rules(limit), move |keys: Vec<u64>| {
             let (gate, statements) = (gate.clone(), statements.clone());
             async move {
                 assert!(keys.len() <= 4);
@@ -250,7 +256,7 @@ mod tests {
     /// A panic ends only the statement in which it happens.
     #[tokio::test]
     async fn a_panic_is_that_of_one_statement() {
-        let joined = Joined::new(OPERATION, 4, LIMIT, |keys: Vec<u64>| async move {
+        let joined = Joined::new(rules(LIMIT), |keys: Vec<u64>| async move {
             assert!(!keys.contains(&13), "on purpose");
             Ok(keys)
         });

@@ -2,13 +2,14 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use sqlx::PgPool;
 
 use crate::tenant::Tenant;
 
 use super::deadline::{DEADLINE, within};
-use super::joined::Joined;
+use super::joined::{Joined, Rules};
 use super::page::rows_asked;
 use super::pool::reading;
 use super::session_filter::condition;
@@ -116,7 +117,10 @@ impl JoinedRows {
     /// Reads from a Postgres server.
     pub(super) fn of(pool: &PgPool) -> Arc<Self> {
         let pool = pool.clone();
-        Joined::new(READING, ROWS, DEADLINE, move |ids| {
+        // A client that reads one session after another waits for no other read.
+        let pause = Duration::ZERO;
+        let rules = Rules { operation: READING, keys_max: ROWS, pause, limit: DEADLINE };
+        Joined::new(rules, move |ids| {
             let pool = pool.clone();
             async move {
                 let read = within(DEADLINE, read_rows(&pool, &ids)).await;

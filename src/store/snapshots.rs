@@ -3,18 +3,22 @@
 
 use std::collections::HashMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 use sqlx::PgPool;
 
 use super::deadline::{BULK_DEADLINE, within};
 use super::epochs::{RawEpoch, SELECT_AFTER, select_epochs};
-use super::joined::Joined;
+use super::joined::{Joined, Rules};
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError, StoredEpoch};
 
 const READING: &str = "reading a session's state";
 /// Sessions in a statement. Each has a snapshot and epochs of up to some hundred kilobytes.
 const SESSIONS: usize = 16;
+/// Time between statements. A state is read faster than a session is restored from it, so without a
+/// pause most statements would be for one session. It is as long as a few restores take.
+const PAUSE: Duration = Duration::from_millis(10);
 
 /// The newest snapshot of a session's state.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,7 +107,9 @@ impl JoinedStates {
     /// Reads from a Postgres server.
     pub(super) fn of(pool: &PgPool) -> Arc<Self> {
         let pool = pool.clone();
-        Joined::new(READING, SESSIONS, BULK_DEADLINE, move |sessions| {
+        let limit = BULK_DEADLINE;
+        let rules = Rules { operation: READING, keys_max: SESSIONS, pause: PAUSE, limit };
+        Joined::new(rules, move |sessions| {
             let pool = pool.clone();
             async move {
                 let read = within(BULK_DEADLINE, read_states(&pool, &sessions)).await;
