@@ -10,7 +10,7 @@ use crate::gnss::{CivilTime, GpsTime, LeapSeconds, TimeScale};
 
 pub(crate) use stopwatch::Stopwatch;
 
-const MS_PER_DAY: i64 = 86_400_000;
+pub(crate) const MS_PER_DAY: i64 = 86_400_000;
 
 /// The time now (ms since 1970-01-01 UTC).
 pub(crate) fn unix_ms() -> i64 {

@@ -31,7 +31,7 @@ pub(super) struct EpochRules {
     pub(super) future_s: u64,
     /// Processor time that a replay may take. The state is stored when the epochs since take more.
     pub(super) replay_max: Duration,
-    /// Whether the next snapshot is the first of its day and therefore kept for replay.
+    /// Whether the next snapshot is the first of the session's day and therefore kept for replay.
     pub(super) keeps_snapshot: bool,
     /// Whether the last kept snapshot is of another day. The state is then stored.
     pub(super) is_new_day: bool,

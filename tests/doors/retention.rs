@@ -24,6 +24,7 @@ on_both_databases!(
     a_replay_needs_a_readable_snapshot,
     a_restore_finds_epochs_of_earlier_days,
     a_restore_finds_epochs_after_a_change_of_the_retention,
+    days_of_sessions_begin_at_different_times,
 );
 
 const MS_PER_DAY: i64 = 86_400_000;
@@ -432,4 +433,33 @@ async fn a_restore_finds_epochs_after_a_change_of_the_retention(database: Databa
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
     assert!(check.is_same() && 304 <= check.compared, "{check:?}");
+}
+
+/// Forty devices send an epoch an hour. Each keeps a snapshot a day, and not all keep it after
+/// midnight.
+async fn days_of_sessions_begin_at_different_times(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let mut ids = Vec::new();
+    for _ in 0..40 {
+        let id = sessions.create(new_session()).await.unwrap().id;
+        // As many as a session sends before it stores its state.
+        let epochs = (1..=256).map(|seq| epoch(seq, seq as f64)).collect();
+        sessions.submit(&id, epochs).await.unwrap();
+        ids.push(id);
+    }
+    let mut kept = vec![database.count("kept_snapshots").await];
+    assert_eq!(kept, [40]);
+    for hour in 1..=24 {
+        clock.set(START + hour * MS_PER_DAY / 24);
+        for id in &ids {
+            let seq = 256 + hour as u64;
+            assert!(outcome(&sessions, id, epoch(seq, seq as f64)).await.result.is_ok());
+        }
+        kept.push(database.count("kept_snapshots").await);
+    }
+    let most = kept.windows(2).map(|counts| counts[1] - counts[0]).max();
+    assert!(most <= Some(10), "{kept:?}");
+    // About half of them: on the first day, which they have a snapshot of, they keep no other.
+    assert!((50..=70).contains(kept.last().unwrap()), "{kept:?}");
 }

@@ -101,7 +101,7 @@ struct Active {
     epoch_time: Option<Duration>,
     /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
-    /// The last day, since 1970-01-01, on which this task has kept a snapshot for replay.
+    /// The last day for which this task has kept a snapshot for replay; see `Task::kept_day`.
     kept_day: Option<i64>,
 }
 

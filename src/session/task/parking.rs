@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use tokio::time::timeout_at;
 
-use crate::clock::gps_time;
+use crate::clock::{MS_PER_DAY, day_of, gps_time};
 use crate::session::SessionError;
 use crate::session::batch::EpochRules;
 use crate::session::configurations::ActiveConfiguration;
@@ -64,16 +64,23 @@ impl Task {
         }
     }
 
+    /// The day for which a snapshot is kept, since 1970-01-01. It begins at a time of day of the
+    /// session's own, so that not all sessions store their states after midnight.
+    fn kept_day(&self) -> i64 {
+        let begin_ms = (self.fraction() * MS_PER_DAY as f64) as i64;
+        day_of(self.clock.unix_ms() - begin_ms)
+    }
+
     /// Whether a snapshot would be the first of its day, and kept for replay.
     pub(super) fn keeps_snapshot(&self, active: &Active) -> bool {
         let days = active.configuration.retention_days.unwrap_or(self.retention_days);
-        days != 0 && active.kept_day != Some(self.clock.day())
+        days != 0 && active.kept_day != Some(self.kept_day())
     }
 
-    /// Notes that a snapshot of today is kept.
+    /// Notes that a snapshot of the session's day is kept.
     pub(super) fn note_kept(&self, active: &mut Active, is_kept: bool) {
         if is_kept {
-            active.kept_day = Some(self.clock.day());
+            active.kept_day = Some(self.kept_day());
         }
     }
 
@@ -83,10 +90,14 @@ impl Task {
         let sessions = self.counters.in_memory().max(1);
         let threads = self.solvers.threads();
         let share = (RESTART * threads as u32).div_f64(sessions as f64);
+        share.clamp(REPLAY_LEAST, REPLAY_MOST).mul_f64(0.5 + self.fraction())
+    }
+
+    /// A number from 0 to 1 that differs from session to session.
+    fn fraction(&self) -> f64 {
         let mut hasher = DefaultHasher::new();
         self.key.hash(&mut hasher);
-        let fraction = f64::from(hasher.finish() as u32) / f64::from(u32::MAX);
-        share.clamp(REPLAY_LEAST, REPLAY_MOST).mul_f64(0.5 + fraction)
+        f64::from(hasher.finish() as u32) / f64::from(u32::MAX)
     }
 
     /// Ends the task. It leaves the state to the desk, and stores the states that the desk drops to
