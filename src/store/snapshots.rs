@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use sqlx::PgPool;
 
-use super::deadline::{BULK_DEADLINE, within};
+use super::deadline::{DEADLINE, within};
 use super::epochs::{RawEpoch, SELECT_AFTER, select_epochs};
 use super::joined::{Joined, Rules};
 use super::pool::reading;
@@ -107,12 +107,12 @@ impl JoinedStates {
     /// Reads from a Postgres server.
     pub(super) fn of(pool: &PgPool) -> Arc<Self> {
         let pool = pool.clone();
-        let limit = BULK_DEADLINE;
+        let limit = DEADLINE;
         let rules = Rules { operation: READING, keys_max: SESSIONS, pause: PAUSE, limit };
         Joined::new(rules, move |sessions| {
             let pool = pool.clone();
             async move {
-                let read = within(BULK_DEADLINE, read_states(&pool, &sessions)).await;
+                let read = within(DEADLINE, read_states(&pool, &sessions)).await;
                 read.map_err(StoreError::database(READING))
             }
         })
