@@ -8,7 +8,7 @@ use std::time::Duration;
 use tokio::sync::Notify;
 use tokio::time::sleep;
 
-use crate::clock::{Clock, day_of};
+use crate::clock::{Clock, MS_PER_DAY, day_of};
 use crate::store::{Store, StoreError};
 
 use super::SessionLimits;
@@ -27,7 +27,6 @@ const LEAD_INTERVAL: Duration = Duration::from_secs(5);
 /// If the clock is ahead of the counted time by more than this, it was set, or the service did not
 /// run (ms).
 const STEP_MS: i64 = MS_PER_DAY;
-const MS_PER_DAY: i64 = 86_400_000;
 
 /// Removes the rows of deleted sessions at the start, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {

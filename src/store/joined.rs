@@ -5,7 +5,8 @@
 //! is executed at once. Others wait while two statements are executed, or until a pause after the
 //! beginning of the last one is over.
 
-use std::collections::VecDeque;
+use std::collections::{HashMap, VecDeque};
+use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -167,12 +168,26 @@ impl<K: Send + 'static, V: Send + 'static> Joined<K, V> {
     }
 }
 
+/// The values that a statement has found, in the order of its keys. Seldom two readers ask for one
+/// key, and only then its value is copied.
+pub(super) fn in_order<K: Eq + Hash, V: Clone>(
+    keys: &[K],
+    mut found: HashMap<K, V>,
+) -> Vec<Option<V>> {
+    let value = |(index, key): (usize, &K)| match keys[index + 1..].contains(key) {
+        true => found.get(key).cloned(),
+        false => found.remove(key),
+    };
+    keys.iter().enumerate().map(value).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicUsize, Ordering};
 
-    use super::*;
     use futures::future::join_all;
+
+    use super::*;
 
     const LIMIT: Duration = Duration::from_secs(60);
 
@@ -200,6 +215,12 @@ mod tests {
                 }
             }
         })
+    }
+
+    #[test]
+    fn every_reader_of_a_key_gets_its_value() {
+        let found = HashMap::from([(1, "one"), (2, "two")]);
+        assert_eq!(in_order(&[2, 1, 3, 1], found), [Some("two"), Some("one"), None, Some("one")]);
     }
 
     /// The first reader has a statement of its own. The eleven that come after it share three: four

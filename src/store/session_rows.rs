@@ -1,6 +1,5 @@
 //! Reads sessions as rows.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,7 +8,7 @@ use sqlx::PgPool;
 use crate::tenant::Tenant;
 
 use super::deadline::{DEADLINE, within};
-use super::joined::{Joined, Rules};
+use super::joined::{Joined, Rules, in_order};
 use super::page::rows_asked;
 use super::pool::reading;
 use super::session_filter::condition;
@@ -133,10 +132,7 @@ impl JoinedRows {
 async fn read_rows(pool: &PgPool, ids: &[String]) -> Result<Vec<Option<RawSession>>, sqlx::Error> {
     let sql = select_sessions!("WHERE id = ANY($1) AND s.deleted_unix_ms IS NULL");
     let rows: Vec<RawSession> = sqlx::query_as(sql).bind(ids).fetch_all(pool).await?;
-    let by_id: HashMap<String, RawSession> =
-        rows.into_iter().map(|row| (row.id.clone(), row)).collect();
-    // Several readers may ask for one session.
-    Ok(ids.iter().map(|id| by_id.get(id).cloned()).collect())
+    Ok(in_order(ids, rows.into_iter().map(|row| (row.id.clone(), row)).collect()))
 }
 
 impl Store {

@@ -9,7 +9,7 @@ use sqlx::PgPool;
 
 use super::deadline::{DEADLINE, within};
 use super::epochs::{RawEpoch, SELECT_AFTER, select_epochs};
-use super::joined::{Joined, Rules};
+use super::joined::{Joined, Rules, in_order};
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError, StoredEpoch};
 
@@ -142,13 +142,7 @@ async fn read_states(pool: &PgPool, sessions: &[SessionKey]) -> Result<Vec<Read>
             epochs.push(epoch);
         }
     }
-    // Seldom two readers ask for one session.
-    let again = |index: usize, key: &i64| keys[index + 1..].contains(key);
-    let value = |(index, key)| match again(index, key) {
-        true => read.get(key).cloned(),
-        false => read.remove(key),
-    };
-    Ok(keys.iter().enumerate().map(value).collect())
+    Ok(in_order(&keys, read))
 }
 
 impl Store {

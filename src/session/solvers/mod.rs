@@ -28,7 +28,8 @@ const QUANTUM: Duration = Duration::from_millis(10);
 const QUANTUM_STEPS: usize = 16;
 /// Interval at which a waiting job checks whether its tenant may compute again. Quotas may change.
 const QUOTA_LOOK: Duration = Duration::from_secs(1);
-/// Sessions that are restored at the same time, for each thread.
+/// Sessions that are restored at the same time, for each thread: as many as a statement reads, so
+/// that some are read while others are computed.
 const RESTORES_PER_THREAD: usize = 16;
 /// Memory of all streams of receivers that are restored at the same time (bytes). A CRINEX or gzip
 /// stream has up to 16 MB, the others 128 kB.
