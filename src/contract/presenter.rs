@@ -3,6 +3,7 @@
 use crate::aiding::BaseBroker;
 use crate::config::OutputOptions;
 use crate::gnss::{Presentation, Presented, Solution};
+use crate::store::BaseChoice;
 
 use super::Caller;
 
@@ -22,6 +23,12 @@ impl Caller {
 }
 
 impl Presenter<'_> {
+    /// The same for files of a session with these bases, which may state their frames.
+    pub(super) fn naming_frames(mut self, caller: &Caller, bases: &BaseChoice) -> Self {
+        self.presentation.names_frames |= caller.bases().states_frame(bases);
+        self
+    }
+
     /// The frame and heights in which solutions are presented.
     pub(super) const fn presentation(&self) -> &Presentation {
         &self.presentation

@@ -163,4 +163,6 @@ pub struct SolutionPage {
     pub oldest_available: Option<u64>,
     /// Frame and heights in which the solutions are reported.
     pub output: OutputOptions,
+    /// The bases of the session.
+    pub bases: BaseChoice,
 }

@@ -72,7 +72,8 @@ impl Sessions {
         let row = self.row(id).await?;
         let output = output(&row.settings)?;
         let page = self.store().solutions(row.key, query).await?;
-        Ok(SolutionPage { page, oldest_available: oldest_available(row.removed_through), output })
+        let oldest_available = oldest_available(row.removed_through);
+        Ok(SolutionPage { page, oldest_available, output, bases: row.settings.base })
     }
 
     /// Removes the epochs that are older than their session's retention. Returns when they are

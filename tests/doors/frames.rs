@@ -298,6 +298,32 @@ async fn an_unknown_frame_is_not_guessed() {
     assert!(track("nmea").await.lines().all(|line| !line.contains(",E,")));
 }
 
+/// Files name the frame that the base states, and a session without such a base has no columns.
+#[tokio::test]
+async fn files_name_the_frame_that_the_base_states() {
+    let (doors, stated) = served("ITRF2014@2010.0").await;
+    let unknown = base(&doors, "").await.name.id.to_string();
+    for (base, frame) in [(stated, Some("ITRF2014")), (unknown, None)] {
+        let session = session(&doors, &base, json!({})).await;
+        pushed(&doors, &session, &MUNICH.rover).await;
+        let path = format!("/v1/sessions/{session}/track");
+        let (_, csv) = doors.get(&format!("{path}.csv")).await;
+        let mut lines = csv.as_str().unwrap().lines();
+        let titles = lines.next().unwrap();
+        let (_, geojson) = doors.get(&format!("{path}.geojson")).await;
+        let properties = &geojson["features"][0]["properties"];
+        assert_eq!(properties["frame"].as_str(), frame, "{properties}");
+        match frame {
+            Some(_) => {
+                assert!(titles.ends_with(",vpl_m,frame,frame_epoch_year"), "{titles}");
+                assert!(lines.all(|row| row.ends_with(",ITRF2014,2010.0000")), "{csv}");
+                assert_eq!(properties["frameEpochYear"], 2010.0);
+            }
+            None => assert!(titles.ends_with(",vpl_m"), "{titles}"),
+        }
+    }
+}
+
 /// Positions outside of Europe, and outside of the geoid's table.
 #[tokio::test]
 async fn outside_there_is_neither() {

@@ -47,9 +47,11 @@ impl OutputOptions {
 
     /// How solutions are presented, with the geoid of the service or command.
     pub fn presentation(&self, geoid: Option<&Arc<Geoid>>) -> Presentation {
+        let etrs89 = self.frame == OutputFrame::Etrs89;
         Presentation {
-            etrs89: self.frame == OutputFrame::Etrs89,
+            etrs89,
             base_frame: self.base_frame,
+            names_frames: etrs89 || self.base_frame.is_some(),
             geoid: geoid.filter(|_| self.geoid).cloned(),
         }
     }
@@ -73,6 +75,8 @@ mod tests {
             (etrs89, true, "frame     : ETRS89"),
         ] {
             assert_eq!(options.frame_comment(is_relative), expected);
+            let names_frames = options.presentation(None).names_frames;
+            assert_eq!(names_frames, options != native, "{expected}");
         }
     }
 }

@@ -21,8 +21,9 @@
 //! | `reasons` | what limits the solution, separated by `; `, in quotes |
 //! | `hpl_m`, `vpl_m` | horizontal and vertical protection levels (m) |
 //!
-//! Where a session asks for them, further columns stand at the end: `frame` and `frame_epoch_year`
-//! of the position, and `orthometric_height_m`, its height above the geoid (m).
+//! Further columns may stand at the end: `frame` and `frame_epoch_year` of the position, where a
+//! frame is asked for or a base states its own, and `orthometric_height_m`, the height above the
+//! geoid (m), where it is asked for.
 //!
 //! Unknown values are empty fields. Of stored solutions two more columns stand in front: `seq`, the
 //! number of the epoch, and `revision`. All revisions of an epoch can be in one file.
@@ -49,7 +50,7 @@ pub(super) const COLUMNS: &str = "gps_week,tow_s,status,x_m,y_m,z_m,latitude_deg
      fixed_ambiguities,ratio,success_rate,fix_probability,reasons,hpl_m,vpl_m";
 /// Titles that stand in front in files of stored solutions.
 pub(super) const STORED_COLUMNS: &str = "seq,revision,";
-/// Titles that stand behind if they are asked for.
+/// Titles that stand behind where solutions have them.
 pub(super) const FRAME_COLUMNS: &str = ",frame,frame_epoch_year";
 pub(super) const GEOID_COLUMN: &str = ",orthometric_height_m";
 /// Number of columns from `gps_week` to `cov_nu_m2`, which are read, and place of `satellites`.
@@ -270,13 +271,14 @@ pub(super) fn reasons_text(presented: &Presented<'_>) -> String {
     reasons.chain(presented.refusal.map(foreign)).collect::<Vec<_>>().join("; ")
 }
 
-/// Appends the frame of the position and its height above the geoid, if they are asked for.
+/// Appends the frame of the position and its height above the geoid, where the file has them.
 fn push_reference(line: &mut Vec<u8>, presented: &Presented<'_>, additions: Additions) {
     let has_position = presented.solution.estimate.is_some();
     if additions.has_frame {
         line.push(b',');
-        line.extend_from_slice(if has_position { presented.frame.as_bytes() } else { b"" });
-        match presented.epoch_year.filter(|_| has_position) {
+        let frame = has_position.then(|| presented.frame_of_position());
+        line.extend_from_slice(frame.map_or("", |frame| frame.name).as_bytes());
+        match frame.and_then(|frame| frame.epoch_year) {
             Some(year) => push_field(line, year, 4),
             None => line.push(b','),
         }

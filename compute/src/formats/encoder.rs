@@ -31,7 +31,7 @@ pub(crate) trait Encoder: Send {
 pub(super) struct Additions {
     /// Number and revision, since they are stored ones.
     pub(super) is_stored: bool,
-    /// The frame of the position, since one was asked for.
+    /// The frame of the position, since one was asked for or a base states its own.
     pub(super) has_frame: bool,
     /// The height above the geoid.
     pub(super) has_geoid: bool,
@@ -40,7 +40,7 @@ pub(super) struct Additions {
 impl Additions {
     /// What solutions of this presentation have.
     pub(super) const fn new(presentation: &Presentation, is_stored: bool) -> Self {
-        let Presentation { etrs89: has_frame, geoid, .. } = presentation;
+        let Presentation { names_frames: has_frame, geoid, .. } = presentation;
         Self { is_stored, has_frame: *has_frame, has_geoid: geoid.is_some() }
     }
 }

@@ -161,10 +161,11 @@ fn push_reference(out: &mut Vec<u8>, presented: &Presented<'_>, additions: Addit
         out.extend_from_slice(text.as_bytes());
     }
     if additions.has_frame {
-        out.extend_from_slice(format!(",\"frame\":\"{}\"", presented.frame).as_bytes());
-    }
-    if let Some(year) = presented.epoch_year {
-        push_number(out, "frameEpochYear", year);
+        let frame = presented.frame_of_position();
+        out.extend_from_slice(format!(",\"frame\":\"{}\"", frame.name).as_bytes());
+        if let Some(year) = frame.epoch_year {
+            push_number(out, "frameEpochYear", year);
+        }
     }
     if let Some(height_m) = presented.orthometric_height_m() {
         push_number(out, "orthometricHeightM", height_m);

@@ -128,8 +128,9 @@ impl Encoder for Table {
         row.fraction(protection.map(|levels| levels.vertical_m));
         let has_position = solution.estimate.is_some();
         if has_frame {
-            row.text(Some(presented.frame).filter(|_| has_position));
-            row.fraction(presented.epoch_year.filter(|_| has_position));
+            let frame = has_position.then(|| presented.frame_of_position());
+            row.text(frame.map(|frame| frame.name));
+            row.fraction(frame.and_then(|frame| frame.epoch_year));
         }
         if has_geoid {
             row.fraction(presented.orthometric_height_m());

@@ -29,6 +29,8 @@ pub struct Presentation {
     pub etrs89: bool,
     /// The frame of a base that states none.
     pub base_frame: Option<CoordinateFrame>,
+    /// Whether files name the frame of each position: one is asked for, or a base states its own.
+    pub names_frames: bool,
     /// The geoid above which heights are given, too.
     pub geoid: Option<Arc<Geoid>>,
 }
@@ -71,6 +73,16 @@ impl<'a> Presented<'a> {
         match (self.frame, self.base_frame) {
             (BASE_FRAME, stated) => stated.map_or(UNKNOWN_FRAME, |frame| frame.name),
             _ => "",
+        }
+    }
+
+    /// The frame of the position with its epoch: in the base's frame the one that the base states,
+    /// if it states one.
+    pub fn frame_of_position(&self) -> CoordinateFrame {
+        let computed = CoordinateFrame { name: self.frame, epoch_year: self.epoch_year };
+        match self.frame {
+            BASE_FRAME => self.base_frame.unwrap_or(computed),
+            _ => computed,
         }
     }
 
@@ -222,6 +234,7 @@ mod tests {
             assert_eq!(presented, Presented::as_computed(&solution));
             assert!(matches!(presented.solution, Cow::Borrowed(_)));
             assert_eq!((presented.frame, presented.base_frame_name()), (frame, of_base));
+            assert_eq!(presented.frame_of_position().name, frame);
         }
     }
 
@@ -235,11 +248,13 @@ mod tests {
         let presented = presentation.present(&solution, |base| stated.filter(|_| base == "bas_1"));
         assert_eq!((presented.frame, presented.base_frame_name()), ("BASE", "ITRF2014"));
         assert_eq!((presented.epoch_year, presented.base_frame), (None, stated));
+        assert_eq!(Some(presented.frame_of_position()), stated);
         let presented = presentation.present(&solution, |_| None);
         assert_eq!(presented.base_frame_name(), for_all);
         // In another frame than the base's there is none.
         let presented = etrs89().present(&solution, |_| stated);
         assert_eq!((presented.frame, presented.base_frame_name()), ("ETRF2000", ""));
+        assert_eq!(presented.frame_of_position().name, "ETRF2000");
         let refused = etrs89().present(&solution, |_| CoordinateFrame::parse("GDA94"));
         assert_eq!((refused.frame, refused.base_frame_name()), ("BASE", "GDA94"));
     }

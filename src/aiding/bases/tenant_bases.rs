@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use crate::aiding::AidingError;
 use crate::gnss::{BaseSite, Epoch};
-use crate::store::{Author, BaseName, NamedRequest, StoredBaseEpoch};
+use crate::store::{Author, BaseChoice, BaseName, NamedRequest, StoredBaseEpoch};
 use crate::tenant::Tenant;
 
 use super::base::Base;
@@ -66,6 +66,19 @@ impl TenantBases<'_> {
     /// The tenant sees no base with this id.
     pub(crate) fn name(&self, id: &BaseId) -> Result<BaseName, AidingError> {
         Ok(self.visible(id)?.name().clone())
+    }
+
+    /// Whether one of the bases of a session states the frame of its coordinates.
+    pub(crate) fn states_frame(&self, choice: &BaseChoice) -> bool {
+        let states = |base: &BaseName| self.broker.frame(&base.id).is_some();
+        match choice {
+            BaseChoice::None => false,
+            BaseChoice::One(base) => states(base),
+            BaseChoice::NearestOf(bases) => bases.iter().any(states),
+            BaseChoice::Nearest => {
+                self.usable().iter().any(|base| base.description.frame.is_some())
+            }
+        }
     }
 
     /// All bases from which the tenant's sessions may choose the nearest.

@@ -85,7 +85,7 @@ async fn read(
             Err(_) => break,
             Ok(()) => {}
         }
-        let SolutionPage { page, oldest_available, output } =
+        let SolutionPage { page, oldest_available, output, .. } =
             caller.sessions().solutions(id, &query).await?;
         let presenter = caller.presenter(&output);
         whole.solutions.extend(page.items.iter().map(|row| convert::stored(row, &presenter)));

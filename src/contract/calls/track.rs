@@ -88,9 +88,9 @@ async fn solutions(
         page_token: None,
     };
     Lease::current().map_or(Ok(()), |lease| lease.reserve(TRACK_BYTES + format.memory_bytes()))?;
-    let SolutionPage { page, output, .. } = caller.sessions().solutions(&id, &query).await?;
+    let SolutionPage { page, output, bases, .. } = caller.sessions().solutions(&id, &query).await?;
     let comments = comments(&id, revisions, &output);
-    let presenter = caller.presenter(&output);
+    let presenter = caller.presenter(&output).naming_frames(caller, &bases);
     let leap = LeapSeconds::table();
     let writer = TrackWriter::of_stored(format, &comments, leap, presenter.presentation());
     let pass = Lease::current().and_then(|lease| lease.pass().cloned());
