@@ -227,7 +227,10 @@ fn table(file: &str, judgement: &Judgement) -> String {
         text += &statistics_row(name, s);
     }
     text += &bias_row(errors);
-    let shares = errors.within.iter().map(|(limit, [plane, space])| {
+    // The limits are texts, in the order of texts.
+    let mut within: Vec<_> = errors.within.iter().collect();
+    within.sort_by(|(a, _), (b, _)| metres(a).total_cmp(&metres(b)));
+    let shares = within.into_iter().map(|(limit, [plane, space])| {
         format!("{limit} m {:.1}, {:.1} %", 100.0 * plane, 100.0 * space)
     });
     text += &format!("  within (2D, 3D): {}\n", shares.collect::<Vec<_>>().join("; "));
@@ -257,6 +260,11 @@ fn table(file: &str, judgement: &Judgement) -> String {
         text += &statistics_row("fixed 3D", &fixes.err3d);
     }
     text
+}
+
+/// A limit of the report (m).
+fn metres(limit: &str) -> f64 {
+    limit.parse().unwrap_or(f64::NAN)
 }
 
 fn statistics_row(name: &str, s: &ErrorStatistics) -> String {

@@ -1,7 +1,7 @@
 //! Threads, the log and interruption, for the commands that run a service or call one.
 
 use std::future::Future;
-use std::io::{self, Write};
+use std::io::{self, IsTerminal, Write};
 
 use crate::aiding::AidingError;
 use crate::app::AppError;
@@ -44,6 +44,7 @@ pub(super) fn start_log(configuration: &ServiceConfiguration) -> Result<(), Fail
     let (node, is_json) = (configuration.node.clone(), configuration.log.json);
     let writer = move || NodeWriter { mark: mark(&node, is_json) };
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
+    let log = log.with_ansi(io::stderr().is_terminal());
     if is_json {
         log.json().init();
     } else {

@@ -265,6 +265,7 @@ impl From<JobError> for Refusal {
             JobError::GeoidMissing => Some("options.overrides.geoid"),
             JobError::Off
             | JobError::TooMany { .. }
+            | JobError::TooManyArriving { .. }
             | JobError::TooManyUploads { .. }
             | JobError::FileTooLarge { .. }
             | JobError::TooManyFiles { .. }
@@ -279,7 +280,8 @@ impl From<JobError> for Refusal {
             | JobError::Bucket(_)
             | JobError::Draining => None,
         };
-        Self::new(error.code(), error.to_string()).at_some(field)
+        let delay = error.retry_after().map(spread);
+        Self::new(error.code(), error.to_string()).at_some(field).retry_after(delay)
     }
 }
 

@@ -20,9 +20,12 @@ pub enum FetchError {
         text: String,
     },
     /// The text is no URL of HTTP.
-    #[error("{text:?} is not a URL such as https://host.example.org/folder/file.gz")]
+    #[error(
+        "{text:?} is not a URL such as https://host.example.org/folder/file.gz, in ASCII, with \
+         blanks as %20, without user and password"
+    )]
     UrlInvalid {
-        /// The text as given.
+        /// The text as given, shortened, without what stands before an `@`.
         text: String,
     },
     /// The address of an archive's files has no placeholders for the day.

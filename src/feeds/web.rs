@@ -30,6 +30,8 @@ const AGENT: &str = concat!("graphfix/", env!("CARGO_PKG_VERSION"));
 /// Most redirections that are followed.
 pub(super) const REDIRECTIONS: usize = 3;
 const URL_LIMIT: usize = 2000;
+/// Most characters of a URL in the message that refuses it.
+const URL_SHOWN: usize = 120;
 
 /// A URL such as `https://host/path`.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -55,12 +57,20 @@ impl FromStr for Url {
                 "https" => (true, 443),
                 _ => return None,
             };
-            let port = uri.port_u16().unwrap_or(usual_port);
-            let is_sound = port != 0 && text.is_ascii() && !uri.authority()?.as_str().contains('@');
             let (host, path) = (uri.host()?.to_ascii_lowercase(), uri.path_and_query()?.as_str());
+            let authority = uri.authority()?.as_str();
+            let port = match authority.rsplit_once(':').filter(|(_, port)| !port.contains(']')) {
+                None => usual_port,
+                Some((_, port)) => port.parse().ok()?,
+            };
+            let is_sound = port != 0 && text.is_ascii() && !authority.contains('@');
             is_sound.then(|| Self { host, port, is_tls, path: path.to_owned() })
         };
-        parse().ok_or_else(|| FetchError::UrlInvalid { text: text.to_owned() })
+        parse().ok_or_else(|| {
+            // What stands before an `@` may be a password.
+            let shown = text.rsplit('@').next().unwrap_or_default();
+            FetchError::UrlInvalid { text: shown.chars().take(URL_SHOWN).collect() }
+        })
     }
 }
 
@@ -361,6 +371,24 @@ mod tests {
         {
             assert!(url(wrong).is_err(), "{wrong:?}");
         }
+    }
+
+    #[test]
+    fn a_port_that_is_none_is_refused() {
+        let url = |text: &str| text.parse::<Url>();
+        assert_eq!(url("http://[::1]/a").unwrap().port, 80);
+        assert_eq!(url("https://[::1]:8443/a").unwrap().port, 8443);
+        for text in ["http://a.example:99999/", "https://a.example:x/", "http://a.example:0/"] {
+            assert!(matches!(url(text), Err(FetchError::UrlInvalid { .. })), "{text}");
+        }
+    }
+
+    #[test]
+    fn a_refusal_shows_no_password() {
+        let refused = "https://me:secret@a.example/b".parse::<Url>().unwrap_err().to_string();
+        assert!(refused.starts_with("\"a.example/b\" is not a URL"), "{refused}");
+        let long = format!("ftp://{}", "a".repeat(5000)).parse::<Url>().unwrap_err();
+        assert!(long.to_string().len() < 300);
     }
 
     #[test]

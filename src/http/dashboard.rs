@@ -23,6 +23,9 @@ const FILES: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/dashboard.rs
 const PAGE: &str = "/index.html";
 /// The part of the page with the address of map tiles: none.
 const NO_TILES: &str = "<meta name=\"graphfix-tiles\" content=\"\">";
+/// The part of the page that says whether results may be Parquet.
+const NO_PARQUET: &str = "<meta name=\"graphfix-parquet\" content=\"\">";
+const PARQUET: &str = "<meta name=\"graphfix-parquet\" content=\"yes\">";
 
 /// Caching of a file whose name has the hash of its content: the content never changes.
 const FOR_EVER: &str = "public, max-age=31536000, immutable";
@@ -43,7 +46,7 @@ pub(super) fn routes(tiles: Option<&Tiles>) -> Router {
     let page = FILES.iter().find(|(path, _)| *path == PAGE).map_or(&[][..], |(_, page)| *page);
     let files = Files {
         packed: FILES.iter().map(|_| OnceLock::new()).collect(),
-        page: with_tiles(page, tiles),
+        page: with_options(page, tiles, cfg!(feature = "parquet")),
         policy: policy(tiles),
     };
     Router::new()
@@ -53,13 +56,19 @@ pub(super) fn routes(tiles: Option<&Tiles>) -> Router {
         .with_state(files)
 }
 
-/// The page with the address of the tiles, if there are any.
-fn with_tiles(page: &'static [u8], tiles: Option<&Tiles>) -> Bytes {
-    let Some(Tiles { template, attribution, .. }) = tiles else { return Bytes::from_static(page) };
-    let (template, attribution) = (escaped(template), escaped(attribution));
-    let name = "<meta name=\"graphfix-tiles\"";
-    let meta = format!("{name} content=\"{template}\" data-attribution=\"{attribution}\">");
-    String::from_utf8_lossy(page).replace(NO_TILES, &meta).into()
+/// The page with the address of the tiles, if there are any, and whether results may be Parquet.
+fn with_options(page: &[u8], tiles: Option<&Tiles>, has_parquet: bool) -> Bytes {
+    let mut page = String::from_utf8_lossy(page).into_owned();
+    if has_parquet {
+        page = page.replace(NO_PARQUET, PARQUET);
+    }
+    if let Some(Tiles { template, attribution, .. }) = tiles {
+        let (template, attribution) = (escaped(template), escaped(attribution));
+        let name = "<meta name=\"graphfix-tiles\"";
+        let meta = format!("{name} content=\"{template}\" data-attribution=\"{attribution}\">");
+        page = page.replace(NO_TILES, &meta);
+    }
+    page.into()
 }
 
 /// A text as the value of an attribute.
@@ -158,16 +167,24 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_page_knows_whether_results_may_be_parquet() {
+        let (_, page) = FILES.iter().find(|(path, _)| *path == PAGE).unwrap();
+        assert!(String::from_utf8_lossy(page).contains(NO_PARQUET), "the page has lost its mark");
+        let shown = with_options(page, None, true);
+        assert!(String::from_utf8_lossy(&shown).contains(PARQUET));
+    }
+
+    #[test]
     fn tiles_open_the_policy_for_their_host_alone() {
         let (_, page) = FILES.iter().find(|(path, _)| *path == PAGE).unwrap();
-        assert_eq!(with_tiles(page, None), *page);
+        assert_eq!(with_options(page, None, false), *page);
         assert!(policy(None).to_str().unwrap().contains("img-src 'self'; "));
         let tiles = Tiles {
             template: "https://tiles.example:8443/{z}/{x}/{y}.png?a=1&b=2".to_owned(),
             origin: "https://tiles.example:8443".to_owned(),
             attribution: "© \"A\" <B>".to_owned(),
         };
-        let shown = String::from_utf8(with_tiles(page, Some(&tiles)).to_vec()).unwrap();
+        let shown = String::from_utf8(with_options(page, Some(&tiles), false).to_vec()).unwrap();
         assert!(shown.contains("/{z}/{x}/{y}.png?a=1&amp;b=2\""), "{shown}");
         assert!(shown.contains("\"© &quot;A&quot; &lt;B&gt;\""), "{shown}");
         let policy = policy(Some(&tiles));

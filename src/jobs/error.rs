@@ -2,6 +2,7 @@
 
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 use crate::config::ConfigError;
 use crate::feeds::FetchError;
@@ -12,6 +13,9 @@ use crate::session::SessionError;
 use crate::store::StoreError;
 
 use super::bucket::BucketError;
+
+/// Interval at which expired jobs and uploads are removed.
+pub(super) const EXPIRY: Duration = Duration::from_secs(600);
 
 /// Why the desk refuses a call. [`super::Failure`] is why a job has no result.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -31,8 +35,14 @@ pub enum JobError {
         /// Number allowed.
         limit: usize,
     },
-    /// As many uploads arrive as allowed.
-    #[error("{limit} uploads arrive, as many as allowed")]
+    /// As many jobs arrive as allowed.
+    #[error("the files of {limit} jobs arrive, as many as allowed")]
+    TooManyArriving {
+        /// Number allowed.
+        limit: usize,
+    },
+    /// The tenant has begun as many uploads as allowed.
+    #[error("{limit} uploads are begun, as many as allowed")]
     TooManyUploads {
         /// Number allowed.
         limit: usize,
@@ -195,7 +205,8 @@ impl JobError {
         match self {
             Self::Off => Code::JobsOff,
             Self::NotFound { .. } => Code::JobNotFound,
-            Self::TooMany { .. } | Self::TooManyUploads { .. } => Code::TooManyJobs,
+            Self::TooMany { .. } | Self::TooManyArriving { .. } => Code::TooManyJobs,
+            Self::TooManyUploads { .. } => Code::TooManyUploads,
             Self::FileTooLarge { .. } | Self::TooManyFiles { .. } => Code::JobTooLarge,
             Self::SpaceExhausted { .. } => Code::JobSpaceExhausted,
             Self::Quota(error) => error.code(),
@@ -220,6 +231,15 @@ impl JobError {
             Self::FolderDiffers { .. } | Self::FolderNotShared { .. } => Code::JobFolderDiffers,
             Self::Draining => Code::Draining,
             Self::Store(error) => error.code(),
+        }
+    }
+
+    /// The delay before another attempt can succeed, where only time or a deletion helps: what
+    /// has expired is removed every ten minutes.
+    pub const fn retry_after(&self) -> Option<Duration> {
+        match self {
+            Self::TooManyUploads { .. } | Self::SpaceExhausted { .. } => Some(EXPIRY),
+            _ => None,
         }
     }
 

@@ -127,7 +127,8 @@ async fn inputs(
     for input in request.inputs.iter_mut().filter(|input| input.is_unfetched()) {
         let part = Some(input.part.name());
         let fetching = tried((desk, &connector), &mut upload, input, &running);
-        match fetching.await.map_err(|error| Failure::new(error.code(), error.text(), part))? {
+        let failed = |error: Unfetched| Failure::of_fetching(error.code(), error.text(), part);
+        match fetching.await.map_err(failed)? {
             None => return Ok(None),
             Some(file) => {
                 (input.hash, input.bytes) = (file.hash.clone(), file.bytes);

@@ -14,6 +14,7 @@ use crate::session::SessionError;
 use crate::store::{JobClaim, JobEnd, JobRow};
 
 use super::JobError;
+use super::error::EXPIRY;
 use super::info::JobInfo;
 use super::named::{Named, result_name};
 use super::report::Failure;
@@ -30,8 +31,6 @@ const LOST_CLAIMS: u64 = 5;
 const COUNT: Duration = Duration::from_secs(30);
 /// Delay after a failure of the database.
 const RETRY: Duration = Duration::from_secs(1);
-/// Interval at which expired jobs are removed.
-const EXPIRY: Duration = Duration::from_secs(600);
 const MS_PER_HOUR: i64 = 3_600_000;
 
 /// Runs jobs one after another until the process stops.

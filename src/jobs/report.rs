@@ -88,8 +88,19 @@ impl Failure {
         }
     }
 
-    fn with_remedy(self, remedy: &str) -> Self {
+    pub(super) fn with_remedy(self, remedy: &str) -> Self {
         Self { remedy: remedy.to_owned(), ..self }
+    }
+
+    /// The failure of a file that its host does not serve.
+    pub(super) fn of_fetching(code: Code, message: String, part: Option<&str>) -> Self {
+        let failure = Self::new(code, message, part);
+        match code {
+            Code::HostUnreachable | Code::FileCut | Code::HostSlow | Code::HostRefuses => {
+                failure.with_remedy("create the job again when the host serves the file")
+            }
+            _ => failure,
+        }
     }
 
     /// The failure of a file that is larger, unpacked, than allowed.

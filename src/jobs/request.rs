@@ -258,9 +258,25 @@ impl JobRequest {
             None => self.options.positioning()?,
             Some(session) => session.positioning()?,
         };
-        if self.options.base_position != BaseOrigin::Any && !self.has_base() {
-            let message = "it is the position of the part base, which is missing";
-            return wrong("options.basePosition", message);
+        let field = match self.options.base_position {
+            BaseOrigin::Any => None,
+            BaseOrigin::FromHeader => Some("options.basePositionFromHeader"),
+            BaseOrigin::Marker(_) => Some("options.basePosition"),
+        };
+        if let Some(field) = field.filter(|_| !self.has_base()) {
+            return wrong(field, "it is of the position of the part base, which is missing");
+        }
+        let arrived = self.inputs.iter().filter(|input| !input.is_unfetched());
+        if let Some(empty) = arrived.clone().find(|input| input.bytes == 0) {
+            return wrong(empty.part.name(), "the file is empty");
+        }
+        let is_base = |input: &JobInput| input.part == Part::Base;
+        let is_rover = |input: &JobInput| input.part == Part::Rover;
+        let same = |rover: &JobInput| {
+            arrived.clone().any(|input| is_base(input) && input.hash == rover.hash)
+        };
+        if arrived.clone().any(|input| is_rover(input) && same(input)) {
+            return wrong("base", "it has the bytes of the part rover: give the base's own file");
         }
         self.options.plan(options)
     }

@@ -12,7 +12,7 @@ const JOB_FILES_DELAY: Duration = Duration::from_secs(60);
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum QuotaError {
     /// The tenant stores as many sessions as its quota allows.
-    #[error("the tenant has {used} sessions, its quota is {limit}")]
+    #[error("sessions of the tenant: {used}, its quota is {limit}")]
     Sessions {
         /// Number of stored sessions.
         used: u64,

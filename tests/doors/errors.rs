@@ -105,6 +105,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::JobsOff, "tests/doors/jobs.rs"),
     (Code::JobNotFound, "tests/doors/jobs.rs"),
     (Code::TooManyJobs, "tests/doors/jobs.rs"),
+    (Code::TooManyUploads, "tests/doors/uploads.rs"),
     (Code::JobTooLarge, "tests/doors/jobs.rs"),
     (Code::JobOptionsTooLarge, "tests/doors/jobs.rs"),
     (Code::JobSpaceExhausted, "tests/doors/jobs.rs"),

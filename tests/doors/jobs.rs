@@ -344,6 +344,24 @@ async fn what_is_no_job_is_refused_and_leaves_nothing() {
             Some("options.basePosition"),
         ),
         (
+            with("{\"basePositionFromHeader\": true}"),
+            400,
+            "INVALID_FIELD",
+            Some("options.basePositionFromHeader"),
+        ),
+        (
+            body(&[("rover", rover), ("navigation", navigation), ("base", b"")]),
+            400,
+            "INVALID_FIELD",
+            Some("base"),
+        ),
+        (
+            body(&[("rover", rover), ("navigation", navigation), ("base", rover)]),
+            400,
+            "INVALID_FIELD",
+            Some("base"),
+        ),
+        (
             with("{\"near\": {\"week\": -5, \"nsOfWeek\": 0}}"),
             400,
             "INVALID_FIELD",

@@ -173,7 +173,8 @@ async fn what_does_not_go_on_is_refused() {
     assert_eq!(code(&problem), "UPLOAD_PROTOCOL_UNKNOWN");
     begun(&doors, 10).await;
     let third = tus(&doors, "POST", "/v1/uploads", &[("upload-length", "1")], Body::empty()).await;
-    assert_eq!((third.0.as_u16(), code(&third.2)), (429, "TOO_MANY_JOBS"), "{}", third.2);
+    assert_eq!((third.0.as_u16(), code(&third.2)), (429, "TOO_MANY_UPLOADS"), "{}", third.2);
+    assert!((600_000..=1_200_000).contains(&third.2["retryAfterMs"].as_u64().unwrap()));
     let unknown = json!({"uploads": [{"part": "rover", "upload": "upl_0"}]}).to_string();
     let (status, problem) = post(&doors, body(&[("options", unknown.as_bytes())]), &[]).await;
     assert_eq!((status.as_u16(), code(&problem)), (404, "UPLOAD_NOT_FOUND"), "{problem}");

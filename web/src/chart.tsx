@@ -65,7 +65,7 @@ function frame(props: ChartProps, latest: () => ChartProps): Partial<uPlot.Optio
   return {
     height: props.height ?? 130,
     legend: { show: false },
-    padding: [6, 10, 0, 0],
+    padding: [6, 24, 0, 0],
     tzDate: (ts) => uPlot.tzDate(new Date(ts * 1000), "Etc/UTC"),
     cursor: {
       sync: { key: SYNC.key },
@@ -120,7 +120,8 @@ const timeAxis = (size = 26): uPlot.Axis => ({
   stroke: ink, grid: { stroke: rule, width: 1 }, ticks: { show: false }, size, font: FONT, space: 90,
   values: (_plot, splits, _axis, _space, step) => splits.map((s) => {
     const text = new Date(s * 1000).toISOString();
-    return 86_400 <= step ? text.slice(5, 10) : step < 60 ? text.slice(11, 19) : text.slice(11, 16);
+    if (86_400 <= step) return text.slice(5, 10);
+    return step < 1 ? text.slice(17, 21) : step < 60 ? text.slice(11, 19) : text.slice(11, 16);
   }),
 });
 

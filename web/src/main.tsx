@@ -144,7 +144,8 @@ function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut:
   const session = page === "sessions" && argument ? argument : undefined;
   const job = page === "jobs" && argument ? argument : undefined;
   useEffect(() => {
-    document.title = `${session ? "Session" : job ? "Job" : (known?.title ?? known?.name ?? "Graphfix")} · Graphfix`;
+    // The pages of a session and a job name it themselves.
+    if (!argument) document.title = `${known?.title ?? known?.name ?? "No such page"} · Graphfix`;
     document.getElementById("main")?.scrollTo(0, 0);
   }, [page, argument]);
   return (

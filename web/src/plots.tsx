@@ -2,7 +2,8 @@
 import type { ComponentChildren } from "preact";
 import type { GpsTime, Interval } from "./api";
 import { AMBER, BLUE, Chart, GREEN, ROSE, StatusStrip, metres } from "./chart";
-import { count, duration } from "./time";
+import { LOOKS, lookState } from "./status";
+import { count, duration, unixS, utc } from "./time";
 import { Loading } from "./ui";
 
 interface PlotsProps {
@@ -30,6 +31,7 @@ export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, 
         <h2>Over time</h2>
         <span class="small">{count(solutions)} epochs{intervals.length < solutions && `, thinned to ${count(intervals.length)} intervals of ${duration(intervalLengthS)}: line is the last value, band the extremes`}. {hint}Times are UTC.</span>
       </div>
+      <Scrubber intervals={intervals} selected={selected} onPick={onPick} />
       <div class="chart"><figcaption><strong>Status</strong><span class="small">higher is better; the bar is the worst of its interval</span></figcaption><StatusStrip {...common} /></div>
       {has("horizontalSigmaM") && <Chart {...common} title="Precision" log format={metres} height={160} lines={[
         ...(has("horizontalProtectionM") ? [{ name: "protection H", colour: ROSE, value: (i: Interval) => i.horizontalProtectionM, dash: [5, 4] }] : []),
@@ -44,5 +46,21 @@ export function Plots({ series, selected, onPick, onZoom, hint = "Drag to zoom, 
         {children}
       </div>
     </section>
+  );
+}
+
+/** Chooses an epoch along the time of the plots, also by keys. */
+function Scrubber({ intervals, selected, onPick }: { intervals: Interval[]; selected: number | undefined; onPick: (seq: number) => void }) {
+  const found = selected === undefined ? -1 : intervals.findIndex(({ seq }) => selected <= seq);
+  const at = found < 0 ? intervals.length - 1 : found;
+  const { seq, time, status } = intervals[at];
+  const words = `epoch ${count(seq)}, ${utc(unixS(time))} UTC, ${LOOKS[lookState(status)].name}`;
+  return (
+    <label class="scrub">Epoch
+      <input
+        type="range" min={0} max={intervals.length - 1} value={at} title={words} aria-valuetext={words}
+        onInput={({ currentTarget }) => onPick(intervals[Number(currentTarget.value)].seq)}
+      />
+    </label>
   );
 }

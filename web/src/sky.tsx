@@ -92,7 +92,7 @@ export function SatelliteTable({ satellites }: { satellites: SatelliteView[] }) 
   const rank = (view: SatelliteView) => (remarks(view).some(({ tone }) => tone) ? 0 : view.role === "USED" ? 1 : 2);
   const sorted = [...satellites].sort((a, b) => rank(a) - rank(b) || (b.elevationDeg ?? -90) - (a.elevationDeg ?? -90));
   return (
-    <div class="table-box" tabIndex={0} role="region" aria-label="Satellites">
+    <div class="table-box satellites" tabIndex={0} role="region" aria-label="Satellites">
       <table>
         <thead>
           <tr><th scope="col">Satellite</th><th scope="col" class="number" title="Elevation and azimuth">El · Az</th><th scope="col">C/N0 (dB-Hz)</th><th scope="col" class="number" title="Pseudorange minus model at the position, against the median of the constellation">Residual</th><th scope="col">Remark</th></tr>

@@ -69,6 +69,13 @@ export function Because({ refusal, tone = "warn" }: { refusal: Refusal | Reason;
 const values = (message: string): string =>
   message.replace(/^[A-Z_]+/, "").replace(/^\{(.*)\}$/, "$1").replace(/^\[(.*)\]$/, "$1");
 
+/** The title of the page in the browser's tab. */
+export function useTitle(name: string): void {
+  useEffect(() => {
+    document.title = `${name} · Graphfix`;
+  }, [name]);
+}
+
 export function sentence(words: string): string {
   const first = words.charAt(0).toUpperCase() + words.slice(1);
   return /[.!?]$/.test(first) ? first : `${first}.`;

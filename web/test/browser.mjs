@@ -144,6 +144,15 @@ async function sessionIsInspected(address) {
   await page.waitForTimeout(2500);
   assert.equal(await page.locator(".chosen").textContent(), chosen);
   await page.getByRole("button", { name: "Follow the last" }).click();
+  // So do keys, by the slider above the plots.
+  await page.getByRole("slider", { name: "Epoch" }).focus();
+  await page.keyboard.press("ArrowLeft");
+  await page.locator(".chosen", { hasText: "Epoch" }).waitFor();
+  await page.getByRole("button", { name: "Follow the last" }).click();
+  // The window itself does not scroll: all of the page is inside main.
+  const excess = () => page.evaluate(() => document.documentElement.scrollHeight - innerHeight);
+  assert.equal(await excess(), 0, "the window is longer than its frame");
+  assert.match(await page.title(), /^surveyor.* · Graphfix$/);
   // Dragging zooms the series.
   await plot.scrollIntoViewIfNeeded();
   const box = await plot.boundingBox();
@@ -159,6 +168,10 @@ async function sessionIsInspected(address) {
   const other = await open(address, FORMS[0].options);
   await other.goto(`${address}/#/sessions/${van.session}`);
   await other.locator(".why .reasons li").first().waitFor({ timeout: 30_000 });
+  // The page of a lost device says so before what limited its last epoch.
+  const lost = (await heads(address)).find(({ label }) => label.startsWith("courier 6"));
+  await other.goto(`${address}/#/sessions/${lost.session}`);
+  await other.locator(".why .note", { hasText: "The device is lost" }).waitFor({ timeout: 90_000 });
   await other.context().close();
 }
 

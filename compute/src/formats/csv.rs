@@ -291,10 +291,12 @@ fn push_reference(line: &mut Vec<u8>, presented: &Presented<'_>, additions: Addi
     }
 }
 
-/// Appends a comma and a number.
+/// Appends a comma and a number, of which one that is not finite is unknown.
 fn push_field(line: &mut Vec<u8>, value: f64, decimals: usize) {
     line.push(b',');
-    push_fixed(line, value, decimals, 0);
+    if value.is_finite() {
+        push_fixed(line, value, decimals, 0);
+    }
 }
 
 #[cfg(test)]
@@ -360,6 +362,16 @@ mod tests {
         assert!(lines.iter().all(|line| columns(line) == columns(lines[0])), "{text}");
         let read = read(text.as_bytes()).unwrap();
         assert_eq!((read.rows.len(), read.unreadable.len()), (2, 0));
+    }
+
+    #[test]
+    fn a_number_that_is_not_finite_is_an_empty_field() {
+        let mut solution = sample(Status::Single);
+        solution.estimate.as_mut().unwrap().dops.gdop = f64::INFINITY;
+        let rows = rows(&[solution]);
+        let at = rows[0].split(',').position(|title| title == "gdop").unwrap();
+        let fields: Vec<&str> = rows[1].split(',').collect();
+        assert_eq!(fields[at..at + 2], ["", "1.500"]);
     }
 
     #[test]

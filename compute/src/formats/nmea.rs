@@ -21,8 +21,7 @@ use nalgebra::Matrix3;
 use super::decimal::push_fixed;
 use super::encoder::{Encoder, Revision};
 use crate::gnss::{
-    CivilTime, GpsTime, LeapSeconds, LocalFrame, Presented, Solution, SolutionEstimate, Status,
-    TimeScale,
+    CivilTime, LeapSeconds, LocalFrame, Presented, Solution, SolutionEstimate, Status, TimeScale,
 };
 
 /// Talker of the combined solution of several constellations.
@@ -78,7 +77,10 @@ impl Nmea {
         match &solution.estimate {
             Some(estimate) => {
                 push_text(sentence, &format!(",{:02},", estimate.satellites_used.len()));
-                push_fixed(sentence, estimate.dops.hdop, 1, 0);
+                // Too few satellites of each constellation have no dilution of precision.
+                if estimate.dops.hdop.is_finite() {
+                    push_fixed(sentence, estimate.dops.hdop, 1, 0);
+                }
                 sentence.push(b',');
                 let height_m = estimate.position.to_geodetic().height_m;
                 push_fixed(sentence, presented.orthometric_height_m().unwrap_or(height_m), 3, 0);
@@ -169,9 +171,7 @@ impl Encoder for Nmea {
 
     fn push(&mut self, presented: &Presented<'_>, _: Option<Revision>, out: &mut Vec<u8>) {
         let solution = &presented.solution;
-        let ns = solution.time.as_ns();
-        let rounded = GpsTime::from_ns((ns + NS_PER_MS / 2).div_euclid(NS_PER_MS) * NS_PER_MS);
-        let utc = rounded.to_civil(TimeScale::Utc, &self.leap);
+        let utc = presented.solution.time.to_nearest_ms().to_civil(TimeScale::Utc, &self.leap);
         self.gga(presented, &utc, out);
         self.rmc(solution, &utc, out);
         self.vtg(solution, out);
@@ -265,6 +265,7 @@ fn push_angle(out: &mut Vec<u8>, degrees: f64, digits: usize, letters: [char; 2]
 mod tests {
     use super::*;
     use crate::formats::encoder::{referred, sample, text_of, text_of_presented};
+    use crate::gnss::GpsTime;
 
     fn sentences(solution: Solution) -> Vec<String> {
         let text = text_of(&mut Nmea::new(LeapSeconds::table()), &[solution]);
@@ -315,6 +316,14 @@ mod tests {
         assert_eq!(gga(&with)[..5], ["453.100", "M", "46.500", "M", "1.5"]);
         let without = Presented { geoid_height_m: None, ..with };
         assert_eq!(gga(&without)[..5], ["499.600", "M", "", "M", "1.5"]);
+    }
+
+    #[test]
+    fn an_unknown_dilution_is_an_empty_field() {
+        let mut solution = sample(Status::Single);
+        solution.estimate.as_mut().unwrap().dops.hdop = f64::NAN;
+        let gga = sentences(solution).remove(0);
+        assert!(gga.contains(",1,03,,499.600,M,"), "{gga}");
     }
 
     #[test]

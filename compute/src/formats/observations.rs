@@ -371,7 +371,8 @@ impl fmt::Display for SkippedParts {
                     let has_more = *has_more;
                     let positions = Positions { unit: "bytes", first: offsets, has_more };
                     let kind = kind.map_or_else(|| "frame".to_owned(), |kind| kind.to_string());
-                    writeln!(f, "left out {count} times: {kind}: {reason} ({positions})")?;
+                    let times = Times(*count);
+                    writeln!(f, "left out {times}: {kind}: {reason} ({positions})")?;
                 }
                 if 0 < statistics.garbage_bytes() {
                     let (count, first) = (statistics.garbage_bytes(), statistics.first_garbage());
@@ -392,9 +393,21 @@ fn write_lines<R: Copy + PartialEq + fmt::Display>(
 ) -> fmt::Result {
     for SkippedEntry { reason, count, lines, has_more } in skipped.entries() {
         let positions = Positions { unit: "lines", first: lines, has_more: *has_more };
-        writeln!(f, "left out {count} times: {reason} ({positions})")?;
+        writeln!(f, "left out {}: {reason} ({positions})", Times(*count))?;
     }
     Ok(())
+}
+
+/// How often, for display.
+struct Times(u64);
+
+impl fmt::Display for Times {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            1 => f.write_str("once"),
+            count => write!(f, "{count} times"),
+        }
+    }
 }
 
 /// The first positions of one reason, for display.

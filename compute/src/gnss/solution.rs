@@ -295,11 +295,15 @@ impl Reason {
     /// What the user can do about it.
     pub const fn remedy(&self) -> &'static str {
         match self {
-            Self::EphemerisMissing { .. } => "push current navigation data for these satellites",
-            Self::TooFewSatellites { .. } => {
-                "wait for a clearer sky, or allow more constellations or a lower elevation mask"
+            Self::EphemerisMissing { .. } => {
+                "give navigation data of this time for these satellites"
             }
-            Self::GeometryTooWeak { .. } => "allow more constellations or wait for a clearer sky",
+            Self::TooFewSatellites { .. } => {
+                "allow more constellations or a lower elevation mask, or choose a more open place"
+            }
+            Self::GeometryTooWeak { .. } => {
+                "allow more constellations, or choose a more open place"
+            }
             Self::NoRedundancy => "allow more constellations so that errors can be detected",
             Self::ResidualsTooLarge { .. } => {
                 "expect reflections; trust the covariance, which has been widened"
@@ -307,9 +311,9 @@ impl Reason {
             Self::SatellitesExcluded { .. } => "none needed: the others determine the position",
             Self::NotConverged => "check the observations; they contradict one another",
             Self::IonosphereFallback { .. } => {
-                "push navigation data that carries the ionosphere coefficients"
+                "give navigation data that has the ionosphere coefficients"
             }
-            Self::BaseMissing => "name a base and push its epochs",
+            Self::BaseMissing => "name a base that has epochs of this time",
             Self::BaseStale { .. } => "check the base's connection, or allow a greater base age",
             Self::BasePositionDoubtful { .. } => "check the coordinates stated for the base",
             Self::BaseMoved { .. } | Self::BaseChanged { .. } => {

@@ -15,6 +15,7 @@ use super::constants::{
     SECONDS_PER_HOUR, SECONDS_PER_WEEK,
 };
 
+const NS_PER_MS: i64 = NS_PER_SECOND / 1_000;
 const NS_PER_WEEK: i64 = SECONDS_PER_WEEK as i64 * NS_PER_SECOND;
 const DAY_S: i64 = SECONDS_PER_DAY as i64;
 const HOUR_S: i64 = SECONDS_PER_HOUR as i64;
@@ -131,9 +132,14 @@ impl GpsTime {
         f64::from(year) + (self.0 - start) as f64 / (end - start) as f64
     }
 
-    /// UTC as RFC 3339 with milliseconds, `2019-04-28T12:58:03.000Z`.
+    /// The nearest whole millisecond.
+    pub(crate) const fn to_nearest_ms(self) -> Self {
+        Self((self.0 + NS_PER_MS / 2).div_euclid(NS_PER_MS) * NS_PER_MS)
+    }
+
+    /// UTC as RFC 3339, rounded to milliseconds, `2019-04-28T12:58:03.000Z`.
     pub fn to_rfc3339(self, leap: &LeapSeconds) -> String {
-        let c = self.to_civil(TimeScale::Utc, leap);
+        let c = self.to_nearest_ms().to_civil(TimeScale::Utc, leap);
         format!(
             "{:04}-{:02}-{:02}T{:02}:{:02}:{:02}.{:03}Z",
             c.year,
@@ -142,7 +148,7 @@ impl GpsTime {
             c.hour,
             c.minute,
             c.second,
-            c.nanosecond / 1_000_000
+            i64::from(c.nanosecond) / NS_PER_MS
         )
     }
 }
@@ -414,6 +420,7 @@ mod tests {
             GpsTime::from_civil(&civil(2019, 4, 28, 12, 58, 21), TimeScale::Gps, &leap).unwrap();
         assert_eq!((time.week(), time.seconds_of_week()), (2051, 46_701.0));
         assert_eq!(time.to_rfc3339(&leap), "2019-04-28T12:58:03.000Z");
+        assert_eq!((time + -2e-7).to_rfc3339(&leap), "2019-04-28T12:58:03.000Z");
         assert_eq!(time.to_string(), "2051:46701.000000000");
     }
 
@@ -433,7 +440,10 @@ mod tests {
         assert_eq!(after - before, 2.0);
         assert_eq!((leap.at(before), leap.at(before + 1.0), leap.at(after)), (17, 17, 18));
         assert_eq!((before + 1.0).to_rfc3339(&leap), "2016-12-31T23:59:60.000Z");
-        assert_eq!(after.to_rfc3339(&leap), "2017-01-01T00:00:00.000Z");
+        assert_eq!((before + 1.999_4).to_rfc3339(&leap), "2016-12-31T23:59:60.999Z");
+        for time in [before + 1.999_6, after] {
+            assert_eq!(time.to_rfc3339(&leap), "2017-01-01T00:00:00.000Z");
+        }
     }
 
     #[test]

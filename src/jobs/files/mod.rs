@@ -164,7 +164,7 @@ impl JobFiles {
     pub(super) fn permit(&self) -> Result<OwnedSemaphorePermit, JobError> {
         let limit = self.limits.uploads;
         let permit = self.uploads.clone().try_acquire_owned();
-        permit.map_err(|_| JobError::TooManyUploads { limit })
+        permit.map_err(|_| JobError::TooManyArriving { limit })
     }
 
     /// The limits of files.
@@ -331,7 +331,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let files = files(folder.path(), 150).await;
         let mut upload = begin(&files).unwrap();
-        assert!(matches!(begin(&files), Err(JobError::TooManyUploads { limit: 1 })));
+        assert!(matches!(begin(&files), Err(JobError::TooManyArriving { limit: 1 })));
         let first = stored(&mut upload, &[7; 90]).await.unwrap();
         let again = stored(&mut upload, &[7; 60]).await.unwrap();
         assert_ne!(first.hash, again.hash);

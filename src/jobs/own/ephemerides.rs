@@ -14,6 +14,9 @@ use super::background::in_background;
 
 /// Name of the input with the service's ephemerides.
 const OWN_NAVIGATION: &str = "the service's own ephemerides";
+/// What helps a job whose files state no date and hold no ephemerides.
+const DATE_REMEDY: &str =
+    "give the part navigation, or near, a time within half a day of the first message";
 /// Files are needed from this long before a recording, for ephemerides at its beginning (s).
 const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
@@ -44,12 +47,18 @@ pub(super) async fn chosen(
         }
     }
     if own.is_empty() || in_force == InForce::Never {
-        let of = span.map_or_else(String::new, |(from, _)| format!(" of {from}"));
-        let mut message = format!("there are no ephemerides{of}: neither in the files, nor here");
+        let failure = |message| Failure::new(Code::NavigationRequired, message, Some("navigation"));
+        let Some((from, _)) = span else {
+            let message = "the rover's messages do not state their date, and there are no \
+                           ephemerides, neither in the files, nor here";
+            return Err(failure(message.to_owned()).with_remedy(DATE_REMEDY));
+        };
+        let mut message =
+            format!("there are no ephemerides of {from}: neither in the files, nor here");
         if let Some(problem) = problem {
             message = format!("{message} ({problem})");
         }
-        return Err(Failure::new(Code::NavigationRequired, message, Some("navigation")));
+        return Err(failure(message));
     }
     in_background(move || {
         let mut content = Vec::new();

@@ -32,7 +32,7 @@ export async function look(file: File): Promise<Look> {
   const packed = PACKED.find(({ magic }) => magic.every((byte, i) => head[i] === byte));
   if (packed) return { ...NOTHING, words: `${packed.name}: unpack it first` };
   const text = new TextDecoder("latin1").decode(head.subarray(0, 64 << 10));
-  return rinex(text) ?? phone(text) ?? receiver(head) ?? NOTHING;
+  return rinex(text) ?? phone(text) ?? receiver(head) ?? positions(text) ?? NOTHING;
 }
 
 /** The first bytes, unpacked if the file is gzip. */
@@ -84,6 +84,12 @@ function rinex(text: string): Look | undefined {
 function phone(text: string): Look | undefined {
   const isLog = /^(# ?Raw,|Raw,|# Header Description)/m.test(text) && /UtcTimeMillis|utcTimeMillis|ElapsedRealtimeMillis|Raw,\d/.test(text);
   return isLog ? { ...NOTHING, kind: "phone", words: "Android GnssLogger log" } : undefined;
+}
+
+/** Positions, as those of a truth file, which the page of a job takes. */
+function positions(text: string): Look | undefined {
+  const isTable = /^(seq,revision,)?(gps_week|tow_s)[,_]/.test(text) || /^% (GPST|program)/m.test(text);
+  return isTable ? { ...NOTHING, words: "positions: compare with them on the page of the job, once it has ended" } : undefined;
 }
 
 /** Message numbers of RTCM 3 with ephemerides. */

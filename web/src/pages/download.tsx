@@ -11,7 +11,7 @@ interface DownloadProps {
 }
 
 /** Formats that tell the revisions of an epoch apart. */
-const WITH_REVISIONS = new Set(["csv", "geojson"]);
+const WITH_REVISIONS = new Set(["csv", "geojson", "parquet"]);
 
 export function Download({ session, series, revision }: DownloadProps) {
   const [whole, setWhole] = useState(false);

@@ -40,6 +40,9 @@ export function HistoryPage() {
   );
 }
 
+/** Intervals begin at full hours of GPS time, some seconds before those of UTC. */
+const minute = (unix: number): string => utc(60 * Math.round(unix / 60));
+
 function OverTime({ fleet }: { fleet: FleetHistory }) {
   const { intervals, intervalLengthS, statuses } = fleet;
   const [begin, end] = [unixS(fleet.from), unixS(fleet.to)];
@@ -51,7 +54,7 @@ function OverTime({ fleet }: { fleet: FleetHistory }) {
     <section class="card" aria-label="Fleet over time">
       <div class="card-head">
         <h2>Fleet over time</h2>
-        <span class="small">immediate answers in intervals of {duration(intervalLengthS)}, {utc(begin).slice(0, 16)} to {utc(end).slice(0, 16)} UTC</span>
+        <span class="small">immediate answers in intervals of {duration(intervalLengthS)}, {minute(begin).slice(0, 16)} to {minute(end).slice(0, 16)} UTC</span>
       </div>
       <dl class="figures">
         <Figure name="Epochs" value={count(solutions)} />
@@ -63,9 +66,9 @@ function OverTime({ fleet }: { fleet: FleetHistory }) {
         <div>
           <h3>Status</h3>
           <FleetBars intervals={intervals} slots={slots} />
-          <h3>Sessions at work</h3>
+          <h3>Sessions at work <span class="small">the highest bar is {count(most)}</span></h3>
           <SessionBars intervals={intervals} slots={slots} />
-          <p class="ends small"><span>{utc(begin).slice(5, 16)}</span><span>{utc(end).slice(5, 16)}</span></p>
+          <p class="ends small"><span>{minute(begin).slice(5, 16)}</span><span>{minute(end).slice(5, 16)}</span></p>
         </div>
         <div><h3>Of all epochs</h3><StatusShares statuses={statuses} /></div>
       </div>

@@ -14,7 +14,7 @@ import { LOOKS, colourOf, isDark, lookState } from "../status";
 import { bytes, count, duration, length, unixS, utc } from "../time";
 import { type Truth, TruthCard, TruthLegend, truthLayer } from "../truth/card";
 import type { Epoch } from "../truth/compare";
-import { Badge, Confirm, Figure, Loading, ProblemBox, Share, Symbol, sentence, useTheme } from "../ui";
+import { Badge, Confirm, Figure, Loading, ProblemBox, Share, Symbol, sentence, useTheme, useTitle } from "../ui";
 import { CancelJob } from "./jobs";
 
 /** Points of the track and of plots. */
@@ -27,6 +27,7 @@ export function JobPage({ id }: { id: string }) {
   const live = useEvents<Job>(eventsPath(id), ["job", "ended"], (signal) => jobOf(id, signal), hasEnded);
   const mayOperate = useRight("operate");
   const job = live.value;
+  useTitle(job ? `Job ${nameOf(job)}` : "Job");
   if (!job) {
     return (
       <div class="page">

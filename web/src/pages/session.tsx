@@ -16,7 +16,7 @@ import { LOOKS, type State, colourOf, isDark, lookState, lostAfterS } from "../s
 import { ago, count, duration, gpsTime, learnLeapSeconds, length, recordedUnixS, unixS, utc } from "../time";
 import { type Truth, TruthCard, TruthLegend, truthLayer } from "../truth/card";
 import type { Epoch } from "../truth/compare";
-import { Badge, Because, Confirm, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Share, Symbol, sentence, useTheme } from "../ui";
+import { Badge, Because, Confirm, Copyable, Empty, Figure, Loading, ProblemBox, Segments, Share, Symbol, sentence, useTheme, useTitle } from "../ui";
 import { Download } from "./download";
 import { siteOf } from "./site";
 
@@ -59,6 +59,8 @@ export function SessionPage({ id }: { id: string }) {
   const points = useResiduals(shownSpan);
   const zoomTo = (from: GpsTime, to: GpsTime) => setZoom({ from, to });
   const chart = { selected: chosen, onPick: setChosen, onZoom: zoomTo };
+  const arrival = useArrival(latest);
+  useTitle(about.value?.label || `Session ${id.slice(0, 12)}`);
 
   if (!about.value) {
     return (
@@ -69,10 +71,11 @@ export function SessionPage({ id }: { id: string }) {
     );
   }
   const shown = chosen === undefined ? last.value : epoch.value;
+  const isLost = !closed && lostAfterS() < arrival.ageS;
   const isEmpty = last.problem?.code === "SESSION_EMPTY";
   return (
     <div class="page session">
-      <Title about={about.value} closed={closed} latest={latest} />
+      <Title about={about.value} closed={closed} latest={latest} isLost={isLost} arrival={arrival} />
       {about.problem && <ProblemBox problem={about.problem} what="The session is not up to date" />}
       {last.problem && !isEmpty && <ProblemBox problem={last.problem} what="The last epoch cannot be loaded" />}
       {isEmpty ? <NoEpochs id={id} /> : (
@@ -88,14 +91,14 @@ export function SessionPage({ id }: { id: string }) {
               onChange={(value) => { setZoom(undefined); if (value !== "zoom") setSpan(value); }}
             />
             {chosen === undefined
-              ? <span class="small">Following the last epoch. Choose another on the map or in a plot.</span>
+              ? <span class="small">Following the last epoch. Choose another on the map, in a plot, or with the slider above the plots.</span>
               : <span class="chosen">Epoch {count(chosen)} <button type="button" class="quiet" onClick={() => setChosen(undefined)}>Follow the last</button></span>}
           </div>
           {epoch.problem && <ProblemBox problem={epoch.problem} what={`Epoch ${chosen} cannot be shown`} />}
           <Figures solution={newest(shown)} />
           <div class="session-grid">
             <SessionMap id={id} tracks={tracks.value} shown={shown} bases={stations.value?.bases ?? []} truth={truth} onPick={setChosen} spanKey={`${id}:${span}:${zoom ? gpsText(zoom.from) : ""}`} />
-            <Why about={about.value} shown={shown} tracks={tracks.value} />
+            <Why about={about.value} shown={shown} tracks={tracks.value} lostForS={isLost ? arrival.ageS : undefined} />
           </div>
           {tracks.problem && <ProblemBox problem={tracks.problem} what="The time series cannot be loaded" />}
           {points.problem && <ProblemBox problem={points.problem} what="The residuals cannot be loaded" />}
@@ -166,15 +169,32 @@ const useResiduals = (span: ShownSpan) =>
 
 const newest = (shown: Explained | undefined): Solution | undefined => shown?.solutions.at(-1);
 
-function Title({ about, closed, latest }: { about: Session; closed: boolean; latest: Solution | undefined }) {
-  const age = latest ? Date.now() / 1000 - unixS(latest.time) : undefined;
+/** Whether epochs arrive now, and for how long none has (s): 0 while they do, or before the first. */
+interface Arrival {
+  arriving: boolean;
+  ageS: number;
+}
+
+function useArrival(latest: Solution | undefined): Arrival {
   const arrivals = useRef({ seq: latest?.seq, at: 0 });
   if (latest && arrivals.current.seq !== latest.seq) {
     arrivals.current = { seq: latest.seq, at: arrivals.current.seq === undefined ? 0 : Date.now() };
   }
   const arriving = Date.now() - arrivals.current.at < 10_000;
-  const lost = !arriving && lostAfterS() < (age ?? 0);
-  const state: State = closed ? "CLOSED" : !latest ? "NEW" : lost ? "LOST" : lookState(latest.status);
+  return { arriving, ageS: arriving || !latest ? 0 : Date.now() / 1000 - unixS(latest.time) };
+}
+
+interface TitleProps {
+  about: Session;
+  closed: boolean;
+  latest: Solution | undefined;
+  isLost: boolean;
+  arrival: Arrival;
+}
+
+function Title({ about, closed, latest, isLost, arrival: { arriving } }: TitleProps) {
+  const age = latest ? Date.now() / 1000 - unixS(latest.time) : undefined;
+  const state: State = closed ? "CLOSED" : !latest ? "NEW" : isLost ? "LOST" : lookState(latest.status);
   return (
     <header class="session-title">
       <p class="crumb"><a href="#/fleet">← Fleet</a> · <a href={`#/history/${about.session}`}>History</a></p>
@@ -309,7 +329,15 @@ function SessionMap({ id, tracks, shown, bases, truth, spanKey, onPick }: Sessio
   );
 }
 
-function Why({ about, shown, tracks }: { about: Session; shown: Explained | undefined; tracks: Tracks | undefined }) {
+interface WhyProps {
+  about: Session;
+  shown: Explained | undefined;
+  tracks: Tracks | undefined;
+  /** For how long a lost device has sent nothing (s). */
+  lostForS: number | undefined;
+}
+
+function Why({ about, shown, tracks, lostForS }: WhyProps) {
   const solution = shown?.solutions[0];
   const best = isRelative(about.mode) ? "FIXED" : undefined;
   const title = best && solution?.status !== "FIXED" ? "Why not fixed" : "What limits it";
@@ -317,6 +345,9 @@ function Why({ about, shown, tracks }: { about: Session; shown: Explained | unde
   return (
     <section class="card why" tabIndex={0} aria-label={title}>
       <h2>{title}</h2>
+      {lostForS !== undefined && (
+        <p class="note warn" role="note">The device is lost: its last epoch is {ago(lostForS)}. If it should send now, check its power, its network and its key. What follows is of the epoch shown.</p>
+      )}
       {!solution && <Loading what="the epoch" />}
       {solution && solution.reasons.length === 0 && (
         <p class="good">{solution.status === "FIXED" ? "Nothing: the integers are fixed." : "Nothing: this epoch has no limiting reason."}</p>

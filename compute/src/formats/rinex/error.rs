@@ -9,7 +9,10 @@ use crate::refusal::Code;
 #[derive(Debug, thiserror::Error)]
 pub enum RinexError {
     /// The first line is not that of a RINEX or CRINEX file.
-    #[error("line {line}: not a RINEX file: {found:?} where RINEX VERSION / TYPE should be")]
+    #[error(
+        "line {line}: not a RINEX file: {} where RINEX VERSION / TYPE should be",
+        shown(.found)
+    )]
     NotRinex {
         /// Number of the line.
         line: u64,
@@ -84,6 +87,11 @@ pub enum RinexError {
         /// Error of the input.
         source: io::Error,
     },
+}
+
+/// The text found in a file, or that there is none.
+fn shown(found: &str) -> String {
+    if found.is_empty() { "the file ends".to_owned() } else { format!("{found:?}") }
 }
 
 impl RinexError {

@@ -10,9 +10,13 @@ macro_rules! jobs {
     JobsOff = "JOBS_OFF", Precondition, "let the operator set jobs.folder";
     /// The job does not exist, or has expired.
     JobNotFound = "JOB_NOT_FOUND", NotFound, "create a job, or check the id";
-    /// As many jobs wait, or uploads arrive, as allowed.
+    /// As many jobs wait, or arrive, as allowed.
     TooManyJobs = "TOO_MANY_JOBS", Exhausted,
         "send the same request later, or let the operator raise jobs.waiting or jobs.uploads";
+    /// As many uploads are begun as allowed.
+    TooManyUploads = "TOO_MANY_UPLOADS", Exhausted,
+        "delete begun uploads (DELETE /v1/uploads/{upload}), wait until one has expired \
+         (jobs.upload_hours), or let the operator raise jobs.open_uploads";
     /// A file of a job exceeds its limit, also unpacked, or there are too many.
     JobTooLarge = "JOB_TOO_LARGE", TooLarge,
         "split the recording, or let the operator raise jobs.file_bytes, jobs.unpacked_bytes or \
@@ -22,8 +26,8 @@ macro_rules! jobs {
         "name fewer files in uploads and urls, and leave out options that are the default";
     /// The files of all jobs need more space than allowed.
     JobSpaceExhausted = "JOB_SPACE_EXHAUSTED", Exhausted,
-        "send the same request when older jobs have expired, or let the operator raise \
-         jobs.total_bytes";
+        "delete jobs that have ended (DELETE /v1/jobs/{job}?purge=true), wait until some have \
+         expired (jobs.keep_hours), or let the operator raise jobs.total_bytes";
     /// Another request had the same Idempotency-Key, or requestId.
     IdempotencyConflict = "IDEMPOTENCY_CONFLICT", Conflict,
         "send the request with a key of its own";

@@ -54,7 +54,8 @@ macro_rules! operation {
         "name the collector's gRPC port as http://HOST:4317 or https://HOST:4317";
     /// The port is taken, or the process may not open it.
     AddressUnavailable = "ADDRESS_UNAVAILABLE", NoCall,
-        "choose another address with --listen, or let the process open this one";
+        "choose another address with --listen, stop the program that has this one, or let the \
+         process open it";
     /// The log filter is invalid.
     LogFilterInvalid = "LOG_FILTER_INVALID", NoCall, "write a filter such as info";
     /// The configuration file is not TOML, or has an unknown key.

@@ -141,7 +141,7 @@ macro_rules! requests {
          limits.observations_per_epoch";
     /// The time is missing or out of range.
     InvalidTime = "INVALID_TIME", Malformed,
-        "send GPS week and nanoseconds of week, 0 to 604799999999999";
+        "send GPS week and nanoseconds of week, 0 to 604799999999999; in an address WEEK:SECONDS";
     /// The sequence number is out of range.
     InvalidSequence = "INVALID_SEQUENCE", Malformed,
         "number the epochs from 1 to 9007199254740991";
