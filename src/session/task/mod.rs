@@ -394,7 +394,8 @@ impl Task {
                     configuration,
                     epoch_time,
                     raw: None,
-                    kept_day: None,
+                    // All of a new session can be replayed from its beginning.
+                    kept_day: is_new.then(|| self.kept_day()),
                 });
             }
         }

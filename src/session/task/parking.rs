@@ -66,7 +66,7 @@ impl Task {
 
     /// The day for which a snapshot is kept, since 1970-01-01. It begins at a time of day of the
     /// session's own, so that not all sessions store their states after midnight.
-    fn kept_day(&self) -> i64 {
+    pub(super) fn kept_day(&self) -> i64 {
         let begin_ms = (self.fraction() * MS_PER_DAY as f64) as i64;
         day_of(self.clock.unix_ms() - begin_ms)
     }

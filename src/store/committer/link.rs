@@ -31,6 +31,9 @@ const PAUSE: Duration = Duration::from_millis(20);
 const END_PROCESS: &str = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity \
     WHERE pid = $1 AND application_name = $2";
 
+/// Memory for the values of a statement. Those of a group are few megabytes; beyond the server's 4
+/// MB they would go through a file.
+const WHOLE_GROUPS: [(&str, &str); 1] = [("work_mem", "64MB")];
 /// Longest idle time in a transaction. If the server has lost contact with a node, the node's
 /// transaction must not lock rows that other nodes wait for.
 const IDLE_LIMIT: [(&str, &str); 1] = [("idle_in_transaction_session_timeout", "4s")];
@@ -111,7 +114,7 @@ impl Connector {
             Database::Postgres(options) => {
                 let options = options.clone().application_name(&self.name);
                 let limit = [("statement_timeout", DEADLINE.as_millis())];
-                let mut options = options.options(limit);
+                let mut options = options.options(limit).options(WHOLE_GROUPS);
                 if self.member.is_some() {
                     options = options.options(IDLE_LIMIT);
                 }
