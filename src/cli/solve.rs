@@ -175,7 +175,7 @@ impl SolveArguments {
         let path = beside(&self.recording.rover);
         if path.exists() {
             let message = format!("{} exists", path.display());
-            return Err(Failure::new(Code::FileNotWritable, message, "name a file by --output"));
+            return Err(Failure::new(Code::FileExists, message, "name a file by --output"));
         }
         Ok(path)
     }

@@ -64,7 +64,7 @@ pub enum RecordingError {
         answer: &'static str,
     },
     /// The rover has no epoch in the requested span of time.
-    #[error("{name} has no epoch in the span")]
+    #[error("{name} has no epoch, or none in the span of time")]
     NoEpochs {
         /// The rover's file.
         name: String,
