@@ -44,11 +44,14 @@ const TO_MARK: [&str; 2] = [
     expired!("x.through > COALESCE(h.removed_through, -1)"),
     expired_closed!("h.last_seq > COALESCE(h.removed_through, -1)"),
 ];
-/// Those that still have rows to remove.
+/// Those that still have rows to remove. Epochs may have gone with their partition, and minutes
+/// not.
 const TO_REMOVE: [&str; 2] = [
     expired!(
         "(x.snapshots > 1 OR EXISTS \
-         (SELECT 1 FROM epochs e WHERE e.session = x.session AND e.seq <= x.through))"
+         (SELECT 1 FROM epochs e WHERE e.session = x.session AND e.seq <= x.through) \
+         OR (SELECT m.last_seq FROM rollups m WHERE m.session = x.session AND m.seconds = 60 \
+         ORDER BY m.begin_s LIMIT 1) <= x.through)"
     ),
     expired_closed!(
         "(EXISTS (SELECT 1 FROM snapshots n WHERE n.session = h.session) \
