@@ -285,8 +285,10 @@ async fn timed<F: Future<Output = usize>>(
     times.sort();
     let ms = |time: Duration| time.as_secs_f64() * 1e3;
     let median = times[REPEATS / 2];
+    let limit =
+        if limit_ms == u128::MAX { "no limit".to_owned() } else { format!("limit {limit_ms} ms") };
     println!(
-        "{name:<44} first {:>7.1} ms, median {:>7.1} ms, limit {limit_ms} ms, {items} items",
+        "{name:<44} first {:>7.1} ms, median {:>7.1} ms, {limit}, {items} items",
         ms(first),
         ms(median),
     );
