@@ -25,7 +25,7 @@ pub enum FetchError {
          blanks as %20, without user and password"
     )]
     UrlInvalid {
-        /// The text as given, shortened, without what stands before an `@`.
+        /// The text as given, shortened, without user and password.
         text: String,
     },
     /// The address of an archive's files has no placeholders for the day.

@@ -60,18 +60,22 @@ impl FromStr for Url {
             let (host, path) = (uri.host()?.to_ascii_lowercase(), uri.path_and_query()?.as_str());
             let authority = uri.authority()?.as_str();
             let port = match authority.rsplit_once(':').filter(|(_, port)| !port.contains(']')) {
-                None => usual_port,
+                None | Some((_, "")) => usual_port,
                 Some((_, port)) => port.parse().ok()?,
             };
             let is_sound = port != 0 && text.is_ascii() && !authority.contains('@');
             is_sound.then(|| Self { host, port, is_tls, path: path.to_owned() })
         };
-        parse().ok_or_else(|| {
-            // What stands before an `@` may be a password.
-            let shown = text.rsplit('@').next().unwrap_or_default();
-            FetchError::UrlInvalid { text: shown.chars().take(URL_SHOWN).collect() }
-        })
+        parse().ok_or_else(|| FetchError::UrlInvalid { text: without_password(text) })
     }
+}
+
+/// A text for a message: shortened, and without a user and password before the host.
+fn without_password(text: &str) -> String {
+    let (scheme, rest) = text.split_at(text.find("//").map_or(0, |at| at + 2));
+    let end = rest.find(['/', '?', '#']).unwrap_or(rest.len());
+    let host = rest[..end].rfind('@').map_or(0, |at| at + 1);
+    scheme.chars().chain(rest[host..].chars()).take(URL_SHOWN).collect()
 }
 
 impl fmt::Display for Url {
@@ -377,6 +381,7 @@ mod tests {
     fn a_port_that_is_none_is_refused() {
         let url = |text: &str| text.parse::<Url>();
         assert_eq!(url("http://[::1]/a").unwrap().port, 80);
+        assert_eq!(url("http://a.example:/").unwrap().port, 80);
         assert_eq!(url("https://[::1]:8443/a").unwrap().port, 8443);
         for text in ["http://a.example:99999/", "https://a.example:x/", "http://a.example:0/"] {
             assert!(matches!(url(text), Err(FetchError::UrlInvalid { .. })), "{text}");
@@ -386,7 +391,9 @@ mod tests {
     #[test]
     fn a_refusal_shows_no_password() {
         let refused = "https://me:secret@a.example/b".parse::<Url>().unwrap_err().to_string();
-        assert!(refused.starts_with("\"a.example/b\" is not a URL"), "{refused}");
+        assert!(refused.starts_with("\"https://a.example/b\" is not a URL"), "{refused}");
+        let path = "http://a.example:99999/b@c".parse::<Url>().unwrap_err().to_string();
+        assert!(path.starts_with("\"http://a.example:99999/b@c\" is not a URL"), "{path}");
         let long = format!("ftp://{}", "a".repeat(5000)).parse::<Url>().unwrap_err();
         assert!(long.to_string().len() < 300);
     }

@@ -41,9 +41,10 @@
 //!
 //! # Retention
 //! A session may keep its epochs for a limited number of days. It then keeps the first snapshot of
-//! each day. Every hour its epochs are removed, in the same small steps, through the newest kept
-//! snapshot that is older than the retention. So all that remains can be replayed, from this
-//! snapshot on. A removed epoch that is sent again is refused as already acknowledged.
+//! each day after the one on which it began. Every hour its epochs are removed, in the same small
+//! steps, through the newest kept snapshot that is older than the retention. So all that remains
+//! can be replayed, from this snapshot on. A removed epoch that is sent again is refused as already
+//! acknowledged.
 //!
 //! # Example
 //!

@@ -1,8 +1,9 @@
 //! Removes epochs that are older than their session's retention, in steps.
 //!
-//! A session with a retention keeps the first snapshot of each day. Its epochs are removed up to
-//! the newest of these snapshots that is older than the retention, so that the remaining epochs can
-//! be replayed. The first step hides all epochs that are to be removed from readers.
+//! A session with a retention keeps the first snapshot of each day after the day on which it began.
+//! Its epochs are removed up to the newest of these snapshots that is older than the retention, so
+//! that the remaining epochs can be replayed. The first step hides all epochs that are to be
+//! removed from readers.
 
 use super::pool::{Pool, reading, writing};
 use super::{SessionKey, Store, StoreError, StoredSnapshot};

@@ -158,6 +158,9 @@ async fn what_cannot_be_fetched_fails_the_job_with_its_part() {
         let job = created(&doors, without_files(&options(port, &parts, "spp"))).await;
         let failed = ended(&doors, &job).await;
         assert_eq!(failed["failure"]["code"], expected, "{failed}");
+        // The job has ended: nothing is tried again by itself.
+        let remedy = failed["failure"]["remedy"].as_str().unwrap();
+        assert!(!remedy.contains("by itself"), "{remedy}");
         let host = if port == silent.port { &silent } else { &redirecting };
         assert_eq!(host.connections.load(Ordering::SeqCst), tries);
     }

@@ -145,7 +145,7 @@ function Dashboard({ signedIn, onSignOut }: { signedIn?: SignInState; onSignOut:
   const job = page === "jobs" && argument ? argument : undefined;
   useEffect(() => {
     // The pages of a session and a job name it themselves.
-    if (!argument) document.title = `${known?.title ?? known?.name ?? "No such page"} · Graphfix`;
+    if (!session && !job) document.title = `${known?.title ?? known?.name ?? "No such page"} · Graphfix`;
     document.getElementById("main")?.scrollTo(0, 0);
   }, [page, argument]);
   return (
