@@ -4,13 +4,11 @@
 //! is an advisory lock of the committer's connection, so that no other service can commit; see
 //! `committer::link`. Both name the holder.
 
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::PoisonError;
-
-use rustix::fs::{FlockOperation, flock};
 
 use super::StoreError;
 
@@ -36,9 +34,13 @@ impl FileLease {
         options.read(true).write(true).create(true).truncate(false);
         let mut file = options.open(&path).map_err(failed)?;
         let mut holder = String::new();
-        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
-            file.read_to_string(&mut holder).map_err(failed)?;
-            return Err(StoreError::InUse { holder: holder.trim().to_owned() });
+        match file.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                file.read_to_string(&mut holder).map_err(failed)?;
+                return Err(StoreError::InUse { holder: holder.trim().to_owned() });
+            }
+            Err(TryLockError::Error(error)) => return Err(failed(error)),
         }
         file.set_len(0).and_then(|()| file.rewind()).map_err(failed)?;
         writeln!(file, "{node}").map_err(failed)?;
@@ -47,7 +49,18 @@ impl FileLease {
 
     /// Ends the lease.
     pub(super) fn end(&self) {
-        self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let ended = self.file.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if let Some(file) = ended {
+            // Closing does not unlock the file while a child process still has it open, as each
+            // child does between its fork and its program's start. Err: closing must suffice.
+            file.unlock().ok();
+        }
+    }
+}
+
+impl Drop for FileLease {
+    fn drop(&mut self) {
+        self.end();
     }
 }
 
@@ -70,5 +83,17 @@ mod tests {
         assert!(matches!(&refused, StoreError::InUse { holder } if holder == "other"));
         drop(second);
         FileLease::take(&database, "third").unwrap();
+    }
+
+    #[test]
+    fn a_lease_ends_although_a_child_process_has_its_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let database = folder.path().join("graphfix.db");
+        let first = FileLease::take(&database, "first").unwrap();
+        // Like a child, a clone has the same open file.
+        let childs = first.file.lock().unwrap().as_ref().unwrap().try_clone().unwrap();
+        first.end();
+        FileLease::take(&database, "second").unwrap();
+        drop(childs);
     }
 }
