@@ -11,7 +11,9 @@
 
 use std::sync::Arc;
 
-use crate::gnss::{Ephemeris, GpsTime, GroupDelays, NavigationMessage, SatelliteId};
+use crate::gnss::{
+    Ephemeris, GpsTime, GroupDelays, NO_PREDICTION_M, NavigationMessage, SatelliteId,
+};
 use crate::models::{satellite_state, validity_s};
 use crate::store::OWNER_PREFIX;
 use crate::tenant::Tenant;
@@ -122,11 +124,13 @@ fn is_same_delay(one_s: Option<f64>, other_s: Option<f64>) -> bool {
     }
 }
 
-/// Files contain the accuracy itself, messages an index of it.
+/// Files contain the accuracy itself, messages an index of it. A file that does not state it does
+/// not contradict one that does, unless this warns against use.
 fn is_same_accuracy(one_m: Option<f64>, other_m: Option<f64>) -> bool {
     match (one_m, other_m) {
         (Some(one), Some(other)) => one.max(other) <= ACCURACY_RATIO * one.min(other),
-        (one, other) => one == other,
+        (Some(stated), None) | (None, Some(stated)) => stated < NO_PREDICTION_M,
+        (None, None) => true,
     }
 }
 
@@ -185,5 +189,13 @@ mod tests {
         let sources = [&*device("a"), "base ntrip://caster/B", AGREED, "https://archive/brdc.rnx"];
         assert!(sources.windows(2).all(|pair| trust(pair[0]) < trust(pair[1])));
         assert_eq!(trust(UPLOAD), trust(DEVICE_OF_EARLIER_VERSIONS));
+    }
+
+    #[test]
+    fn an_accuracy_that_is_not_stated_contradicts_no_other_but_a_warning() {
+        assert!(is_same_accuracy(None, None) && is_same_accuracy(Some(2.0), Some(2.4)));
+        assert!(is_same_accuracy(None, Some(2.0)) && is_same_accuracy(Some(2.0), None));
+        assert!(!is_same_accuracy(None, Some(NO_PREDICTION_M)));
+        assert!(!is_same_accuracy(Some(2.0), Some(NO_PREDICTION_M)));
     }
 }

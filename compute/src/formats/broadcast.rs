@@ -1,8 +1,8 @@
 //! Units and indices of broadcast messages, common to all formats.
 
 use crate::gnss::{
-    Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NavigationMessage, SatelliteId,
-    wrap_half_week,
+    Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NO_PREDICTION_M, NavigationMessage,
+    SatelliteId, wrap_half_week,
 };
 
 /// A semicircle (rad), with the value of π that the messages use; IS-GPS-200N, 20.3.3.4.3.3;
@@ -40,36 +40,36 @@ pub(super) fn is_plausible(ephemeris: &Ephemeris) -> bool {
     }
 }
 
-/// Nominal URA_ED (m) of an index; `None` for 15 (no prediction) and above; IS-GPS-200N,
+/// Nominal URA_ED (m) of an index; [`NO_PREDICTION_M`] for others than −15 to 14; IS-GPS-200N,
 /// 30.3.3.1.1.4.
-pub(super) fn ura_m(index: f64) -> Option<f64> {
+pub(super) fn ura_m(index: f64) -> f64 {
     match index {
-        -15.0..=6.0 => Some((1.0 + index / 2.0).exp2()),
-        6.0..15.0 => Some((index - 2.0).exp2()),
-        _ => None,
+        -15.0..=6.0 => (1.0 + index / 2.0).exp2(),
+        6.0..15.0 => (index - 2.0).exp2(),
+        _ => NO_PREDICTION_M,
     }
 }
 
 /// URA (m) of the index in a legacy message, rounded as in IS-GPS-200N, 20.3.3.3.1.3.
-pub(super) fn legacy_ura_m(index: u64) -> Option<f64> {
+pub(super) fn legacy_ura_m(index: u64) -> f64 {
     match index {
-        1 => Some(2.8),
-        3 => Some(5.7),
-        5 => Some(11.3),
+        1 => 2.8,
+        3 => 5.7,
+        5 => 11.3,
         _ => ura_m(index as f64),
     }
 }
 
-/// SISA (m) of an index; `None` for spare indices and 255 (no prediction); Galileo OS SIS ICD 2.1,
+/// SISA (m) of an index; [`NO_PREDICTION_M`] for spare indices and 255; Galileo OS SIS ICD 2.1,
 /// table 92.
-pub(super) fn sisa_m(index: u64) -> Option<f64> {
+pub(super) fn sisa_m(index: u64) -> f64 {
     let step = index as f64;
     match index {
-        0..=49 => Some(step * 0.01),
-        50..=74 => Some(0.5 + (step - 50.0) * 0.02),
-        75..=99 => Some(1.0 + (step - 75.0) * 0.04),
-        100..=125 => Some(2.0 + (step - 100.0) * 0.16),
-        _ => None,
+        0..=49 => step * 0.01,
+        50..=74 => 0.5 + (step - 50.0) * 0.02,
+        75..=99 => 1.0 + (step - 75.0) * 0.04,
+        100..=125 => 2.0 + (step - 100.0) * 0.16,
+        _ => NO_PREDICTION_M,
     }
 }
 
@@ -139,12 +139,13 @@ mod tests {
 
     #[test]
     fn indices_of_the_icds() {
-        assert_eq!((ura_m(0.0), ura_m(6.0), ura_m(7.0)), (Some(2.0), Some(16.0), Some(32.0)));
-        assert_eq!((ura_m(14.0), ura_m(15.0)), (Some(4096.0), None));
-        assert_eq!((legacy_ura_m(3), legacy_ura_m(4)), (Some(5.7), Some(8.0)));
+        assert_eq!((ura_m(0.0), ura_m(6.0), ura_m(7.0)), (2.0, 16.0, 32.0));
+        assert_eq!((ura_m(14.0), ura_m(15.0)), (4096.0, NO_PREDICTION_M));
+        assert_eq!((legacy_ura_m(3), legacy_ura_m(4)), (5.7, 8.0));
         // Galileo OS SIS ICD 2.1, table 92: 107 is 3.12 m.
-        assert!((sisa_m(107).unwrap() - 3.12).abs() < 1e-12);
-        assert_eq!((sisa_m(50), sisa_m(126), sisa_m(255)), (Some(0.5), None, None));
+        assert!((sisa_m(107) - 3.12).abs() < 1e-12);
+        let none = NO_PREDICTION_M;
+        assert_eq!((sisa_m(50), sisa_m(126), sisa_m(255)), (0.5, none, none));
     }
 
     #[test]

@@ -4,6 +4,10 @@ use nalgebra::Vector3;
 
 use super::{GpsTime, SatelliteId};
 
+/// Accuracy of an ephemeris whose message predicts none, or warns against use (m): the last bound
+/// of the URA; IS-GPS-200N, 20.3.3.3.1.3. Other constellations' messages are given the same.
+pub const NO_PREDICTION_M: f64 = 6_144.0;
+
 /// Broadcast orbit and clock of one satellite and issue.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Ephemeris {
@@ -201,8 +205,8 @@ pub struct KeplerianEphemeris {
     pub cic_rad: f64,
     /// Harmonic correction of the inclination, sine C_is (rad).
     pub cis_rad: f64,
-    /// Broadcast accuracy, URA or SISA (m); `None` where the message warns against use or gives
-    /// none.
+    /// Broadcast accuracy, URA or SISA (m); [`NO_PREDICTION_M`] where the message warns against
+    /// use, `None` where its source does not state one.
     pub accuracy_m: Option<f64>,
     /// Health word as broadcast; zero is healthy.
     pub health: u32,

@@ -27,7 +27,8 @@ pub use antenna::{AntennaCalibration, AntennaCatalogue, PhaseCentrePattern};
 pub use base::{BaseSite, BaseStation, PositionSource};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{
-    Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NavigationMessage,
+    Ephemeris, GlonassEphemeris, GroupDelays, KeplerianEphemeris, NO_PREDICTION_M,
+    NavigationMessage,
 };
 pub use etrs89::FrameRefusal;
 pub use frame::CoordinateFrame;

@@ -12,15 +12,16 @@ const GLONASS_S: f64 = 0.5 * SECONDS_PER_HOUR;
 /// Validity of BeiDou ephemerides around toe (s): updated hourly, plus one hour of margin.
 const BEIDOU_S: f64 = 2.0 * SECONDS_PER_HOUR;
 
-/// The ephemeris to use for `satellite` at `time`: healthy, valid, and closest in time.
+/// The ephemeris to use for `satellite` at `time`: the closest valid one, if it is healthy.
 ///
-/// *Healthy*: the health bits of the message's own signals are zero. *Valid*: no further from toe
-/// than half the broadcast fit interval; without one GPS and QZSS 2 h (CNAV 1.5 h), Galileo 4 h,
-/// BeiDou 2 h (one hour of validity, one of margin), GLONASS 30 min. The orbit must be one of an
-/// Earth satellite. *Message*: in the order LNAV, CNAV, CNAV-2; I/NAV, F/NAV; D1 or D2, B-CNAV1, 2,
-/// 3: the first is what every satellite of the system sends, and a later one is used only if the
-/// earlier ones have nothing valid. *Closest*: by |time − toe|; among equals the later toe, then
-/// the later toc, then the later entry of the list.
+/// *Valid*: no further from toe than half the broadcast fit interval; without one GPS and QZSS 2 h
+/// (CNAV 1.5 h), Galileo 4 h, BeiDou 2 h (one hour of validity, one of margin), GLONASS 30 min. The
+/// orbit must be one of an Earth satellite. *Closest*: by |time − toe|; among equals the later toe,
+/// then the later toc, then the later entry of the list. *Healthy*: the health bits of the
+/// message's own signals are zero. If they are not, an older healthy ephemeris is not used either.
+/// *Message*: in the order LNAV, CNAV, CNAV-2; I/NAV, F/NAV; D1 or D2, B-CNAV1, 2, 3: the first is
+/// what every satellite of the system sends, and a later one is used only if the earlier ones have
+/// nothing valid and healthy.
 pub fn select_ephemeris(
     navigation: &Navigation,
     satellite: SatelliteId,
@@ -48,19 +49,19 @@ pub(crate) fn select_ephemeris_within(
     };
     let list = navigation.of(satellite);
     let first = list.partition_point(|e| e.toe() < time - longest_s);
-    let mut best: Option<(u8, f64, &Ephemeris)> = None;
+    let mut closest: [Option<(f64, &Ephemeris)>; RANKS] = [None; RANKS];
     for ephemeris in &list[first..] {
         let ahead = ephemeris.toe() - time;
         if longest_s < ahead {
             break;
         }
-        let (rank, distance) = (preference(ephemeris), ahead.abs());
-        let better = best.is_none_or(|(r, d, _)| rank < r || (rank == r && distance <= d));
-        if better && distance <= reach_s(ephemeris) && is_usable(ephemeris) {
-            best = Some((rank, distance, ephemeris));
+        let (of_message, distance_s) = (&mut closest[preference(ephemeris)], ahead.abs());
+        let is_closer = of_message.is_none_or(|(least_s, _)| distance_s <= least_s);
+        if is_closer && distance_s <= reach_s(ephemeris) && is_orbit(ephemeris) {
+            *of_message = Some((distance_s, ephemeris));
         }
     }
-    best.map(|(_, _, ephemeris)| ephemeris)
+    closest.into_iter().flatten().map(|(_, closest)| closest).find(|closest| is_healthy(closest))
 }
 
 /// All healthy and valid ephemerides of `satellite` at `time`, in order of toe, those of BeiDou
@@ -80,8 +81,11 @@ pub(crate) fn ephemerides_in_force(
     })
 }
 
+/// Number of ranks of messages.
+const RANKS: usize = 4;
+
 /// Rank of the message in the order of preference, 0 first.
-fn preference(ephemeris: &Ephemeris) -> u8 {
+fn preference(ephemeris: &Ephemeris) -> usize {
     use NavigationMessage as M;
     match ephemeris {
         Ephemeris::Glonass(_) => 0,
@@ -256,6 +260,20 @@ mod tests {
         let sick =
             Ephemeris::Glonass(crate::gnss::GlonassEphemeris { health: 1, ..sample::glonass() });
         assert_eq!(chosen(&navigation([sick]), "R07", 0.0), None);
+    }
+
+    #[test]
+    fn a_satellite_whose_closest_message_is_unhealthy_is_not_used() {
+        let sick = KeplerianEphemeris { health: 1, ..sample::gps() };
+        let list = navigation([shifted(sample::gps(), 0.0, 1), shifted(sick, 2.0, 2)]);
+        assert_eq!(chosen(&list, "G05", 0.9), Some(1));
+        assert_eq!(chosen(&list, "G05", 1.1), None);
+        // The health of I/NAV is not that of F/NAV.
+        let sick = KeplerianEphemeris { health: 0b000_000_010, ..sample::galileo() };
+        let fnav = KeplerianEphemeris { message: NavigationMessage::Fnav, ..sample::galileo() };
+        let list = [shifted(sample::galileo(), 0.0, 1), shifted(sick, 2.0, 2)];
+        let list = navigation(list.into_iter().chain([shifted(fnav, 1.0, 3)]));
+        assert_eq!(chosen(&list, "E12", 1.1), Some(3));
     }
 
     #[test]

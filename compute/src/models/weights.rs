@@ -4,7 +4,7 @@
 //! choices of its parameters. It covers the receiver's noise and multipath only. Orbit and clock
 //! ([`ephemeris_variance_m2`]), troposphere and ionosphere add their variances.
 
-use crate::gnss::{Ephemeris, NavigationMessage};
+use crate::gnss::{Ephemeris, NO_PREDICTION_M, NavigationMessage};
 
 /// Dependence of the variance on elevation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,13 +126,25 @@ fn decibel(x: f64) -> f64 {
 /// Upper bounds of the URA index 0 … 14 (m); IS-GPS-200N, 20.3.3.3.1.3, and
 /// BDS-SIS-ICD-B1I-3.0, 5.2.4.5.
 const URA_BOUNDS_M: [f64; 15] = [
-    2.4, 3.4, 4.85, 6.85, 9.65, 13.65, 24.0, 48.0, 96.0, 192.0, 384.0, 768.0, 1_536.0, 3_072.0,
-    6_144.0,
+    2.4,
+    3.4,
+    4.85,
+    6.85,
+    9.65,
+    13.65,
+    24.0,
+    48.0,
+    96.0,
+    192.0,
+    384.0,
+    768.0,
+    1_536.0,
+    3_072.0,
+    NO_PREDICTION_M,
 ];
-/// Accuracy assumed where a message has none or warns against use: the URA's last bound (m).
-const UNSTATED_M: f64 = 6_144.0;
-/// Galileo's `no accuracy prediction available` (m), as RTKLIB's `STD_GAL_NAPA`.
-const UNSTATED_GALILEO_M: f64 = 500.0;
+/// Accuracy of a healthy satellite whose ephemeris states none (m): the bound of URA index 0, which
+/// RTKLIB takes for an accuracy of zero. It is what most GPS satellites broadcast.
+const UNSTATED_M: f64 = URA_BOUNDS_M[0];
 /// GLONASS-M's orbit and clock where F_T is not given (m), as RTKLIB's `ERREPH_GLO`.
 const UNSTATED_GLONASS_M: f64 = 5.0;
 
@@ -145,17 +157,16 @@ pub(crate) fn ephemeris_variance_m2(ephemeris: &Ephemeris) -> f64 {
     let sigma_m = match ephemeris {
         Ephemeris::Glonass(e) => e.accuracy_m.unwrap_or(UNSTATED_GLONASS_M),
         Ephemeris::Keplerian(e) => match (e.message, e.accuracy_m) {
+            (_, None) => UNSTATED_M,
             (M::Lnav | M::D1 | M::D2, Some(nominal_m)) => ura_bound_m(nominal_m),
             (_, Some(stated_m)) => stated_m,
-            (M::Inav | M::Fnav, None) => UNSTATED_GALILEO_M,
-            (_, None) => UNSTATED_M,
         },
     };
     sigma_m * sigma_m
 }
 
 fn ura_bound_m(nominal_m: f64) -> f64 {
-    URA_BOUNDS_M.into_iter().find(|bound| nominal_m <= *bound).unwrap_or(UNSTATED_M)
+    URA_BOUNDS_M.into_iter().find(|bound| nominal_m <= *bound).unwrap_or(NO_PREDICTION_M)
 }
 
 #[cfg(test)]
@@ -213,10 +224,14 @@ mod tests {
         // URA index 0 is written as 2.0 m and bounded by 2.4 m.
         near(variance(&gps), 2.4 * 2.4);
         gps.accuracy_m = None;
+        near(variance(&gps), 2.4 * 2.4);
+        gps.accuracy_m = Some(NO_PREDICTION_M);
         near(variance(&gps), 6_144.0 * 6_144.0);
         let mut galileo = sample::galileo();
         galileo.accuracy_m = Some(3.12);
         near(variance(&galileo), 3.12 * 3.12);
+        galileo.accuracy_m = Some(NO_PREDICTION_M);
+        near(variance(&galileo), 6_144.0 * 6_144.0);
         near(ephemeris_variance_m2(&Ephemeris::Glonass(sample::glonass())), 25.0);
     }
 }

@@ -8,7 +8,7 @@ use super::header_writer::{Label, header_line};
 use super::navigation::glonass_accuracy_index;
 use crate::gnss::{
     Constellation, Ephemeris, GlonassEphemeris, GpsTime, GroupDelays, KeplerianEphemeris,
-    KlobucharCoefficients, LeapSeconds, Navigation, NavigationMessage, TimeScale,
+    KlobucharCoefficients, LeapSeconds, NO_PREDICTION_M, Navigation, NavigationMessage, TimeScale,
 };
 
 const KM_PER_METRE: f64 = 1e-3;
@@ -129,7 +129,7 @@ fn write_keplerian(text: &mut String, e: &KeplerianEphemeris) -> Result<(), Rine
         some(second(e.toe), e.cic_rad, e.omega0_rad, e.cis_rad),
         some(e.i0_rad, e.crc_m, e.omega_rad, e.omega_dot_rad_s),
         [Some(e.idot_rad_s), source, Some(f64::from(week)), None],
-        [e.accuracy_m, Some(f64::from(e.health)), tail[0], tail[1]],
+        [written_accuracy(e), Some(f64::from(e.health)), tail[0], tail[1]],
         [e.transmission_time.map(second), tail[2], None, None],
     ];
     let start = [Some(e.af0_s), Some(e.af1), Some(e.af2_per_s)];
@@ -139,6 +139,12 @@ fn write_keplerian(text: &mut String, e: &KeplerianEphemeris) -> Result<(), Rine
     let shown = if rows[6].iter().all(Option::is_none) { &rows[..6] } else { &rows[..] };
     write_rows(text, shown);
     Ok(())
+}
+
+/// The accuracy; −1 for a Galileo satellite without a prediction (RINEX 3.05, table A8).
+fn written_accuracy(e: &KeplerianEphemeris) -> Option<f64> {
+    let is_galileo = e.satellite.constellation == Constellation::Galileo;
+    e.accuracy_m.map(|metres| if is_galileo && NO_PREDICTION_M <= metres { -1.0 } else { metres })
 }
 
 /// The second number of row 5, and the last two of row 6 with the second of row 7.

@@ -5,8 +5,8 @@ use proptest::prelude::*;
 use super::*;
 use crate::gnss::{
     Constellation, Cycles, Ecef, Ephemeris, Epoch, GlonassEphemeris, GpsTime, GroupDelays,
-    KeplerianEphemeris, KlobucharCoefficients, LeapSeconds, Navigation, NavigationMessage,
-    NeQuickCoefficients, Observation, ObservationCode, SatelliteId,
+    KeplerianEphemeris, KlobucharCoefficients, LeapSeconds, NO_PREDICTION_M, Navigation,
+    NavigationMessage, NeQuickCoefficients, Observation, ObservationCode, SatelliteId,
 };
 
 fn code(text: &str) -> ObservationCode {
@@ -179,7 +179,8 @@ fn keplerian() -> impl Strategy<Value = KeplerianEphemeris> {
                 crs_m: v[17],
                 cic_rad: v[18],
                 cis_rad: v[19],
-                accuracy_m: full.then_some(2.0),
+                accuracy_m: [None, Some(2.0), Some(3.12), Some(NO_PREDICTION_M)]
+                    [usize::from(iode % 4)],
                 health: u32::from(health),
                 fit_interval_h: (full && message == NavigationMessage::Lnav).then_some(4.0),
             }

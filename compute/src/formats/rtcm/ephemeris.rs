@@ -64,7 +64,7 @@ fn long_week(count: u64, start: i32, modulus: i32, clock: &Clock) -> i32 {
 fn gps(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusal> {
     let satellite = super::satellite(Constellation::Gps, bits.unsigned(6))?;
     let week = clock.week(bits.unsigned(10), WEEKS_GPS)?;
-    let accuracy_m = legacy_ura_m(bits.unsigned(4));
+    let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     bits.skip(2);
     let idot_rad_s = bits.signed_scaled(14, per_power(43) * SEMICIRCLE_RAD);
     let iode = bits.unsigned(8) as u32;
@@ -112,7 +112,7 @@ fn qzss(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusa
     ephemeris.omega_dot_rad_s = bits.signed_scaled(24, per_power(43) * SEMICIRCLE_RAD);
     ephemeris.idot_rad_s = bits.signed_scaled(14, per_power(43) * SEMICIRCLE_RAD);
     bits.skip(2 + 10);
-    let accuracy_m = legacy_ura_m(bits.unsigned(4));
+    let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     let health = bits.unsigned(6) as u32;
     let tgd_s = bits.signed_scaled(8, per_power(31));
     let iodc = bits.unsigned(10) as u32;
@@ -168,7 +168,7 @@ fn galileo(
     let satellite = super::satellite(Constellation::Galileo, bits.unsigned(6))?;
     let week = long_week(bits.unsigned(12), GALILEO_FIRST_WEEK, WEEKS_GALILEO, clock);
     let iode = bits.unsigned(10) as u32;
-    let accuracy_m = sisa_m(bits.unsigned(8));
+    let accuracy_m = Some(sisa_m(bits.unsigned(8)));
     let message = if is_inav { NavigationMessage::Inav } else { NavigationMessage::Fnav };
     let idot_rad_s = bits.signed_scaled(14, per_power(43) * SEMICIRCLE_RAD);
     let toc = dated(week, bits.scaled(14, 60.0), clock);
@@ -214,7 +214,7 @@ fn beidou(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refu
     let week = long_week(bits.unsigned(13), BEIDOU_FIRST_WEEK, WEEKS_BEIDOU, clock);
     let geostationary = satellite.is_beidou_geo();
     let message = if geostationary { NavigationMessage::D2 } else { NavigationMessage::D1 };
-    let accuracy_m = legacy_ura_m(bits.unsigned(4));
+    let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     let idot_rad_s = bits.signed_scaled(14, per_power(43) * SEMICIRCLE_RAD);
     let iode = bits.unsigned(5) as u32;
     let toc = dated(week, bits.scaled(17, 8.0) + BEIDOU_LAG_S, clock);

@@ -219,7 +219,7 @@ fn status(
 ) -> KeplerianEphemeris {
     let health = bits.unsigned(1) as u32;
     let iodc = bits.unsigned(5) as u32;
-    let accuracy_m = legacy_ura_m(bits.unsigned(4));
+    let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     KeplerianEphemeris { health, iodc, accuracy_m, ..blank(satellite, message, GpsTime::EPOCH) }
 }
 

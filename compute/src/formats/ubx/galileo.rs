@@ -169,7 +169,7 @@ fn orbit_part(
     ephemeris.cus_rad = bits.signed_scaled(16, per_power(29));
     ephemeris.crc_m = bits.signed_scaled(16, per_power(5));
     ephemeris.crs_m = bits.signed_scaled(16, per_power(5));
-    ephemeris.accuracy_m = sisa_m(bits.unsigned(8));
+    ephemeris.accuracy_m = Some(sisa_m(bits.unsigned(8)));
 }
 
 /// Reads group delays and health from word 5. The health word is that of RINEX: data validity, then

@@ -111,7 +111,7 @@ fn clock_part(
     let mut bits = Bits::starting_at(data, THIRD_WORD);
     let week = clock.week(bits.unsigned(10), WEEKS)?;
     bits.skip(2);
-    let accuracy_m = legacy_ura_m(bits.unsigned(4));
+    let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     let health = bits.unsigned(6) as u32;
     let issue_high = bits.unsigned(2) as u32;
     // L2 P data flag and reserved bits up to word 7.

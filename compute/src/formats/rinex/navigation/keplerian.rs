@@ -9,8 +9,8 @@ use crate::formats::broadcast::ura_m;
 use crate::formats::rinex::fields::constellation;
 use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{
-    Constellation, GpsTime, GroupDelays, KeplerianEphemeris, LeapSeconds, NavigationMessage,
-    SatelliteId, TimeScale, wrap_half_week,
+    Constellation, GpsTime, GroupDelays, KeplerianEphemeris, LeapSeconds, NO_PREDICTION_M,
+    NavigationMessage, SatelliteId, TimeScale, wrap_half_week,
 };
 
 /// Valid square roots of semi-major axes of navigation satellites (√m), with a wide margin.
@@ -18,8 +18,6 @@ const SQRT_A_LIMITS: std::ops::Range<f64> = 4000.0..8000.0;
 const ECCENTRICITY_LIMIT: f64 = 0.5;
 /// A transmission time farther from toe than this (s) is a filler: zero, or 0.9999e9 for unknown.
 const TRANSMISSION_LIMIT_S: f64 = SECONDS_PER_DAY;
-/// URA of index 15 (m): use at own risk; IS-GPS-200N, 20.3.3.3.1.3.
-const NO_PREDICTION_M: f64 = 6144.0;
 
 /// Data sources of a Galileo record; zero if blank or invalid.
 pub(super) fn galileo_data_sources(record: &Record) -> u32 {
@@ -137,7 +135,7 @@ fn read_lnav(record: &Record, ephemeris: &mut KeplerianEphemeris) -> Option<()> 
 }
 
 fn read_cnav(record: &Record, ephemeris: &mut KeplerianEphemeris, last: usize) -> Option<()> {
-    ephemeris.accuracy_m = record.optional(6, 0)?.and_then(ura_m);
+    ephemeris.accuracy_m = record.optional(6, 0)?.map(ura_m);
     ephemeris.health = record.word(6, 1)?;
     let l1c = |column| if last == 9 { record.optional(8, column) } else { Some(None) };
     ephemeris.group_delays = GroupDelays::Gps {
@@ -234,7 +232,22 @@ fn transmission_time(
     )
 }
 
-/// Accuracy as written (m); `None` for zero, negative values (no prediction) and URA index 15.
+/// Accuracy as written (m). Converters write zero where they do not state it. A negative value
+/// means no prediction (Galileo, RINEX 3.05, table A8), as does URA index 15.
 fn stated_accuracy(metres: Option<f64>) -> Option<f64> {
-    metres.filter(|metres| 0.0 < *metres && *metres < NO_PREDICTION_M)
+    let metres = metres.filter(|metres| *metres != 0.0)?;
+    Some(if (0.0..NO_PREDICTION_M).contains(&metres) { metres } else { NO_PREDICTION_M })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_accuracy_is_stated_or_not_or_warns() {
+        assert_eq!([None, Some(0.0)].map(stated_accuracy), [None; 2]);
+        assert_eq!([Some(2.0), Some(3.12)].map(stated_accuracy), [Some(2.0), Some(3.12)]);
+        let warnings = [-1.0, 6_144.0, 8_192.0].map(|metres| stated_accuracy(Some(metres)));
+        assert_eq!(warnings, [Some(NO_PREDICTION_M); 3]);
+    }
 }
