@@ -114,6 +114,27 @@ fn lock_and_half_cycles_follow_the_tracking_status() {
     assert_eq!(lost_and_half(&[PLAIN, worst, PLAIN])[1], (true, false));
 }
 
+/// A loss within a pause, after which the lock time is again longer than before it.
+#[test]
+fn lock_is_lost_where_its_time_does_not_reach_the_last_phase() {
+    let lost = |frames: &[(f64, Measurement)]| -> Vec<bool> {
+        let bytes: Vec<u8> = frames.iter().flat_map(|(t, one)| rawx(*t, &[*one])).collect();
+        read(&bytes).iter().map(|epoch| epoch.observations[0].loss_of_lock).collect()
+    };
+    let lock = |lock_ms| Measurement { lock_ms, ..PLAIN };
+    let without_phase = |lock_ms| Measurement { status: 1, ..lock(lock_ms) };
+    let pause = lost(&[(0.0, lock(600)), (47.0, lock(740)), (48.0, lock(1740))]);
+    assert_eq!(pause, [true, true, false]);
+    // Lock times in whole milliseconds, of epochs between them.
+    let thirds = [(0.0, lock(600)), (1.0 / 3.0, lock(933)), (2.0 / 3.0, lock(1266))];
+    assert_eq!(lost(&thirds), [true, false, false]);
+    // The epochs between have no phase.
+    let none = [(0.0, lock(600)), (1.0, without_phase(700)), (2.0, lock(1700))];
+    assert_eq!(lost(&none), [true, false, true]);
+    // The counter does not go on beyond 64.5 s.
+    assert_eq!(lost(&[(0.0, lock(9000)), (200.0, lock(64_500))]), [true, false]);
+}
+
 #[test]
 fn broken_frames_are_told_with_their_place() {
     let good = rawx(1.0, &[PLAIN]);
@@ -157,14 +178,17 @@ proptest! {
     }
 }
 
-/// All observations of a log agree with the RINEX beside it, including lock and half cycles.
+/// All observations of a log agree with the RINEX beside it, including lock and half cycles. RTKLIB
+/// does not report three losses after which the lock time is longer than before, but shorter than
+/// the second between the epochs.
 #[test]
 fn a_recording_is_its_rinex() {
     let Some(folder) = data::set("spirent-ubx") else { return };
     let log = folder.join("spirent_f9p_static_15min.ubx");
     let ours = read(&unpacked(&log));
     let theirs = reading::epochs(&log.with_extension("obs"));
-    let expected = Agreement { epochs: 931, observations: 28_669, ..Agreement::default() };
+    let expected =
+        Agreement { epochs: 931, observations: 28_669, flags: 3, ..Agreement::default() };
     assert_eq!(streams::compare(&ours, &theirs), expected);
     assert_eq!(ours.len(), 931);
 }

@@ -1,9 +1,10 @@
 //! RXM-RAWX: pseudorange, carrier phase, Doppler and C/N0 of all signals at one epoch.
 //!
-//! Loss of lock is reported if a signal first appears, if its lock time is zero or decreases, if
-//! the half-cycle correction of the phase changes (`subHalfCyc`), and if the receiver states the
-//! largest phase standard deviation. A loss of lock without a phase is reported with the next
-//! phase. A half-cycle ambiguity is reported if `halfCyc` is not set.
+//! Loss of lock is reported if a signal first appears, if its lock time is zero, decreases or does
+//! not reach back to its last phase, if the half-cycle correction of the phase changes
+//! (`subHalfCyc`), and if the receiver states the largest phase standard deviation. A loss of lock
+//! without a phase is reported with the next phase. A half-cycle ambiguity is reported if `halfCyc`
+//! is not set.
 
 use std::collections::BTreeMap;
 
@@ -28,12 +29,18 @@ const UNKNOWN_SLOT: u8 = 255;
 pub(super) const PSEUDORANGE_VALID: u8 = 1;
 pub(super) const PHASE_VALID: u8 = 2;
 pub(super) const HALF_CYCLE_RESOLVED: u8 = 4;
+/// Largest lock time, at which the counter stays (ms).
+pub(super) const LOCK_MAX_MS: u16 = 64_500;
+/// Resolution of lock times (ms).
+const LOCK_STEP_MS: f64 = 1.0;
 const HALF_CYCLE_SUBTRACTED: u8 = 8;
 
 /// The last lock state of a signal.
 #[derive(Clone, Copy, Debug, Default)]
 struct Lock {
     time_ms: u16,
+    /// Time of its last phase.
+    phase: Option<GpsTime>,
     is_half_subtracted: bool,
     /// Whether a loss of lock has not been reported yet.
     is_lost: bool,
@@ -71,20 +78,22 @@ impl RawxState {
         if !WEEKS.contains(&week) || !(0.0..604_801.0).contains(&second) {
             return Err(Refusal::InvalidTime);
         }
+        let time = GpsTime::from_week_seconds(week, second);
         let (measurements, _) = measurements.as_chunks::<MEASUREMENT_BYTES>();
         let mut observations = Vec::with_capacity(usize::from(count));
         for measurement in &measurements[..usize::from(count)] {
-            match self.observation(measurement, version) {
+            match self.observation(time, measurement, version) {
                 Ok(observation) if observation.is_empty() => {}
                 Ok(observation) => observations.push(observation),
                 Err(refusal) => notes(refusal),
             }
         }
-        Ok((GpsTime::from_week_seconds(week, second), observations))
+        Ok((time, observations))
     }
 
     fn observation(
         &mut self,
+        time: GpsTime,
         measurement: &[u8; MEASUREMENT_BYTES],
         version: u8,
     ) -> Result<Observation, Refusal> {
@@ -98,14 +107,19 @@ impl RawxState {
         let unknown = Lock { is_lost: true, ..Lock::default() };
         let lock = self.locks.entry((satellite, code)).or_insert(unknown);
         let is_half_subtracted = has(HALF_CYCLE_SUBTRACTED);
+        let since_ms = lock.phase.map_or(0.0, |phase| (time - phase) * 1e3);
         lock.is_lost |= lock_ms == 0
             || lock_ms < lock.time_ms
+            || (lock_ms < LOCK_MAX_MS && f64::from(lock_ms) + LOCK_STEP_MS < since_ms)
             || is_half_subtracted != lock.is_half_subtracted
             || phase_deviation & 15 == WORST_PHASE;
         lock.time_ms = lock_ms;
         lock.is_half_subtracted = is_half_subtracted;
         let loss_of_lock = has_phase && lock.is_lost;
         lock.is_lost &= !has_phase;
+        if has_phase {
+            lock.phase = Some(time);
+        }
         let pseudorange_m = f64::from_le_bytes(field(measurement, 0)?);
         let doppler_hz = f64::from(f32::from_le_bytes(field(measurement, 16)?));
         let is_range = has(PSEUDORANGE_VALID) && pseudorange_m.is_finite();

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use crate::gnss::{Epoch, Observation, ObservationCode, SatelliteId};
 
 use super::rawx::{
-    HALF_CYCLE_RESOLVED, HEADER_BYTES, MEASUREMENT_BYTES, PHASE_VALID, PSEUDORANGE_VALID, numbers,
+    HALF_CYCLE_RESOLVED, HEADER_BYTES, LOCK_MAX_MS, MEASUREMENT_BYTES, PHASE_VALID,
+    PSEUDORANGE_VALID, numbers,
 };
 
 /// Sync characters, class and id.
@@ -14,8 +15,6 @@ const HEAD: [u8; 4] = [0xb5, 0x62, 0x02, 0x15];
 const VERSION: u8 = 1;
 /// Signals of one message; their number is a byte.
 const SIGNALS_MAX: usize = 255;
-/// Largest lock time (ms).
-const LOCK_MAX_MS: u16 = 64_500;
 /// Stated standard deviation of phases (0.004 cycles).
 const PHASE_DEVIATION: u8 = 1;
 /// Frequency number of GLONASS channel 0. Observations do not tell the channel, and the decoder
