@@ -15,7 +15,8 @@
 //! Doppler or C/N0 (L1, D1, S1) belongs to a pseudorange of its band. On band 1 that is C1 if
 //! declared, else P1. On band 2 it is P2, else C2, since the format was made when P(Y) was the only
 //! carrier there. If the preferred pseudorange is blank in a record and the other is not, the phase
-//! belongs to the other.
+//! belongs to the other. BeiDou's B1I is in band 1 or 2, by the program that wrote the file: where
+//! both are declared, it is the number that is not blank.
 
 use super::RinexVersion;
 use super::fields::{Value, observation_value};
@@ -135,19 +136,34 @@ impl ColumnTable {
                 }
                 _ => None,
             };
-            table.push(Quantity::from_letter(letter), code.map(|(_, code)| code), 1.0);
+            let may_share = constellation == Constellation::BeiDou;
+            let code = code.map(|(_, code)| code);
+            table.push_column(Quantity::from_letter(letter), code, 1.0, may_share);
         }
         table.find_handovers(constellation);
         table
     }
 
     fn push(&mut self, quantity: Quantity, code: Option<ObservationCode>, divisor: f64) {
+        self.push_column(quantity, code, divisor, false);
+    }
+
+    /// Adds a column. With `may_share` it may be the second one of its signal.
+    fn push_column(
+        &mut self,
+        quantity: Quantity,
+        code: Option<ObservationCode>,
+        divisor: f64,
+        may_share: bool,
+    ) {
         let indicator = Indicator::Rinex;
         let code = code.filter(|_| quantity != Quantity::Ignored);
         let slot = code.map(|code| self.slot(code));
         let taken = |slot| self.columns.iter().any(|c| (c.quantity, c.slot) == (quantity, slot));
         let column = match slot {
-            Some(slot) if !taken(slot) => Column { quantity, indicator, slot, divisor },
+            Some(slot) if may_share || !taken(slot) => {
+                Column { quantity, indicator, slot, divisor }
+            }
             _ => {
                 self.unknown_types += 1;
                 Column { quantity: Quantity::Ignored, indicator, slot: 0, divisor }
@@ -265,15 +281,14 @@ pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observati
         if column.quantity == Quantity::Ignored {
             continue;
         }
-        let value = match observation_value(field) {
-            Value::Number(value) => Some(value),
-            Value::Missing => None,
+        match observation_value(field) {
+            Value::Number(value) => set_value(column, value, slots),
+            Value::Missing => {}
             Value::Malformed => {
                 sound = false;
                 continue;
             }
-        };
-        set_value(column, value, slots);
+        }
         set_loss_of_lock(column, field[NUMBER_WIDTH], slots);
     }
     sound
@@ -281,15 +296,15 @@ pub(super) fn fill(columns: &[Column], mut fields: &[u8], slots: &mut [Observati
 
 /// Stores a number in its slot.
 #[inline]
-pub(super) fn set_value(column: &Column, value: Option<f64>, slots: &mut [Observation]) {
+pub(super) fn set_value(column: &Column, value: f64, slots: &mut [Observation]) {
     let Some(slot) = slots.get_mut(usize::from(column.slot)) else { return };
-    let value = if column.divisor == 1.0 { value } else { value.map(|v| v / column.divisor) };
+    let value = if column.divisor == 1.0 { value } else { value / column.divisor };
     match column.quantity {
         Quantity::Ignored => {}
-        Quantity::Pseudorange => slot.pseudorange_m = value,
-        Quantity::CarrierPhase => slot.carrier_phase = value.map(Cycles),
-        Quantity::Doppler => slot.doppler_hz = value,
-        Quantity::Cn0 => slot.cn0_db_hz = value,
+        Quantity::Pseudorange => slot.pseudorange_m = Some(value),
+        Quantity::CarrierPhase => slot.carrier_phase = Some(Cycles(value)),
+        Quantity::Doppler => slot.doppler_hz = Some(value),
+        Quantity::Cn0 => slot.cn0_db_hz = Some(value),
     }
 }
 
@@ -314,4 +329,32 @@ pub(super) fn drop_empty(observations: &mut Vec<Observation>, start: usize) {
         }
     }
     observations.truncate(kept);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::SatelliteId;
+
+    /// B1I is in band 1 or 2, and the columns of the other band are blank.
+    #[test]
+    fn beidou_has_its_numbers_in_either_band() {
+        let types = [*b"C1", *b"L1", *b"S1", *b"C2", *b"L2", *b"S2"];
+        let table = ColumnTable::of_rinex2(Constellation::BeiDou, &types);
+        let field = |number: &str, lli: &str| format!("{number:>14}{lli:>1} ");
+        let numbers = ["36000000.123", "187000000.456", "45.000"];
+        let written = [field(numbers[0], ""), field(numbers[1], "1"), field(numbers[2], "")];
+        let blank = " ".repeat(3 * FIELD_WIDTH);
+        for line in [written.concat() + &blank, blank.clone() + &written.concat()] {
+            let satellite = SatelliteId::new(Constellation::BeiDou, 1).unwrap();
+            let mut slots = [Observation::empty(satellite, table.codes[0])];
+            assert!(fill(&table.columns, line.as_bytes(), &mut slots));
+            let [found] = slots;
+            assert_eq!(found.code, ObservationCode::parse("2I").unwrap());
+            assert_eq!(found.pseudorange_m, Some(36_000_000.123));
+            assert_eq!(found.carrier_phase, Some(Cycles(187_000_000.456)));
+            assert_eq!((found.cn0_db_hz, found.loss_of_lock), (Some(45.0), true));
+        }
+        assert_eq!((table.codes.len(), table.unknown_types), (1, 0));
+    }
 }

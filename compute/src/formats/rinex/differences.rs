@@ -142,7 +142,7 @@ impl SatelliteState {
             rest = behind.get(1..).unwrap_or(&[]);
             match arc.advance(field) {
                 Ok(Some(thousandths)) if thousandths != 0 => {
-                    set_value(column, Some(thousandths as f64 / 1000.0), slots);
+                    set_value(column, thousandths as f64 / 1000.0, slots);
                 }
                 Ok(_) => {}
                 Err(BrokenArc) => broken += 1,

@@ -25,7 +25,8 @@ pub(super) fn ephemeris(
         Some(Vector3::from(in_km) * METRES_PER_KM)
     };
     let position_m = vector(0)?;
-    let channel = record.need(2, 3)?;
+    // Some receivers write negative numbers as bytes without a sign.
+    let channel = record.need(2, 3).map(|channel| wrapped(channel, 128.0, 256.0))?;
     if !RADIUS_LIMITS_M.contains(&position_m.norm()) || !(-7.0..=13.0).contains(&channel) {
         return None;
     }
@@ -37,7 +38,7 @@ pub(super) fn ephemeris(
         transmission_time: record.optional(0, 3)?.and_then(|s| frame_time(toe, s, leap)),
         position_m,
         velocity_m_s: vector(1)?,
-        acceleration_m_s2: vector(2)?,
+        acceleration_m_s2: acceleration_m_s2(record)?,
         clock_bias_s: record.need(0, 1)?,
         gamma: record.need(0, 2)?,
         delta_tau_s: if has_status { delta_tau_s(record)? } else { None },
@@ -46,6 +47,17 @@ pub(super) fn ephemeris(
         accuracy_m: if has_status { accuracy_m(record)? } else { None },
         age_days: record.word(3, 3)?.min(255) as u8,
     })
+}
+
+/// A number that is negative from `limit` on.
+fn wrapped(number: f64, limit: f64, modulus: f64) -> f64 {
+    if number < limit { number } else { number - modulus }
+}
+
+/// The acceleration; blank is zero (RINEX 2.11, 6.8).
+fn acceleration_m_s2(record: &Record) -> Option<Vector3<f64>> {
+    let in_km = [record.or_zero(1, 2)?, record.or_zero(2, 2)?, record.or_zero(3, 2)?];
+    Some(Vector3::from(in_km) * METRES_PER_KM)
 }
 
 /// Message frame time nearest to `toe`, from seconds of the UTC week, or of its day in RINEX 2.
