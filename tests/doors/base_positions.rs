@@ -148,9 +148,9 @@ fn a_base_of_messages_may_move() {
         (summary, rows.lines().skip(1).map(row).collect::<Vec<_>>())
     };
     let (summary, still) = solve("still.ubx");
-    assert!(!summary.contains("messages moved it") && !summary.contains("BASE_MOVED"), "{summary}");
+    assert!(!summary.contains("its file moved it") && !summary.contains("BASE_MOVED"), "{summary}");
     let (summary, moved) = solve("moved.ubx");
-    assert!(summary.contains("base: messages moved it 1 times"), "{summary}");
+    assert!(summary.contains("base: its file moved it 1 times"), "{summary}");
     let at = moved.iter().position(|(_, _, says)| *says).unwrap();
     assert_eq!(moved.iter().filter(|(_, _, says)| *says).count(), 1);
     assert_eq!(moved[..at], still[..at]);
@@ -159,4 +159,54 @@ fn a_base_of_messages_may_move() {
     let moves: Vec<f64> = both.map(|(a, b)| b.1 - a.1).collect();
     assert!(100 < moves.len(), "{} fixed after the base moved", moves.len());
     assert!(moves.iter().all(|moved_m| (moved_m - 5.0).abs() < 0.02), "{moves:?}");
+}
+
+/// A header record in the middle of a base's file raises the antenna by a metre: so are positions
+/// from there on, whether the marker is that of the header or given.
+#[test]
+fn a_base_of_rinex_has_the_antenna_height_that_its_file_states_last() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scenario = ["simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "60"];
+    let (done, _, error) = run(folder, &[&scenario[..], &["--output", "."]].concat());
+    assert!(done, "{error}");
+    let still = fs::read_to_string(folder.join("base.obs")).unwrap();
+    let line = still.lines().find(|line| line.contains("ANTENNA: DELTA H/E/N")).unwrap();
+    let height_m: f64 = line[..14].trim().parse().unwrap();
+    let raised = format!("{:14.4}{}", height_m + 1.0, &line[14..]);
+    let epochs: Vec<usize> = still.match_indices("\n>").map(|(at, _)| at + 1).collect();
+    let middle = epochs[epochs.len() / 2];
+    let event = format!(">{:30}4{:3}\n{raised}\n", "", 1);
+    fs::write(folder.join("raised.obs"), [&still[..middle], &event, &still[middle..]].concat())
+        .unwrap();
+    let solve = |base: &str, further: &[&str]| {
+        let fixed = ["solve", "--rover", "rover.obs", "--nav", "navigation.rnx", "--base", base];
+        let to = ["--mode", "rtk-fgo", "--output", "out.csv"];
+        let (done, summary, error) = run(folder, &[&fixed[..], &to, further].concat());
+        assert!(done, "{error}");
+        let rows = fs::read_to_string(folder.join("out.csv")).unwrap();
+        let row = |row: &str| {
+            let fields: Vec<&str> = row.split(',').collect();
+            let [x, y, z] = [3, 4, 5].map(|axis| fields[axis].parse().unwrap());
+            (fields[2] == "FIXED", Ecef::new(x, y, z), row.contains("BASE_MOVED"))
+        };
+        (summary, rows.lines().skip(1).map(row).collect::<Vec<_>>())
+    };
+    let (summary, still) = solve("base.obs", &[]);
+    assert!(!summary.contains("its file moved it"), "{summary}");
+    let marker = marker(&summary).0.0;
+    let given = format!("--base-position={:.4},{:.4},{:.4}", marker.x, marker.y, marker.z);
+    for further in [&[][..], &[given.as_str()]] {
+        let (summary, raised) = solve("raised.obs", further);
+        assert!(summary.contains("base: its file moved it 1 times"), "{summary}");
+        let at = raised.iter().position(|(_, _, says)| *says).unwrap();
+        let moves = |epochs: std::ops::Range<usize>| -> Vec<f64> {
+            let both = still[epochs.clone()].iter().zip(&raised[epochs]);
+            both.filter(|(a, b)| a.0 && b.0).map(|(a, b)| a.1.distance_m(b.1)).collect()
+        };
+        let (before, after) = (moves(0..at), moves(at..raised.len()));
+        assert!(10 < before.len() && before.iter().all(|moved_m| *moved_m < 0.01), "{before:?}");
+        let is_raised = |moved_m: &f64| (moved_m - 1.0).abs() < 0.02;
+        assert!(10 < after.len() && after.iter().all(is_raised), "{after:?}");
+    }
 }

@@ -70,14 +70,19 @@ pub struct BaseSite {
 impl BaseSite {
     /// The antenna reference point, ECEF (m).
     pub fn antenna_reference_point(&self) -> Ecef {
-        let [height, east, north] = self.antenna_delta_hen_m;
-        LocalFrame::at(self.marker).to_ecef(Enu(Vector3::new(east, north, height)))
+        antenna_reference_point(self.marker, self.antenna_delta_hen_m)
     }
 
     /// The base station at this position, with the name given.
     pub fn station(&self, name: String) -> BaseStation {
         BaseStation { name, antenna_reference_point: self.antenna_reference_point() }
     }
+}
+
+/// The antenna reference point at these heights above, and distances east and north of a marker
+/// (m), ECEF (m).
+pub(crate) fn antenna_reference_point(marker: Ecef, [height, east, north]: [f64; 3]) -> Ecef {
+    LocalFrame::at(marker).to_ecef(Enu(Vector3::new(east, north, height)))
 }
 
 #[cfg(test)]

@@ -24,6 +24,7 @@ mod time;
 
 pub(crate) use antenna::split_antenna_name;
 pub use antenna::{AntennaCalibration, AntennaCatalogue, PhaseCentrePattern};
+pub(crate) use base::antenna_reference_point;
 pub use base::{BaseSite, BaseStation, PositionSource};
 pub use coordinates::{Ecef, Enu, Geodetic, LocalFrame};
 pub use ephemeris::{

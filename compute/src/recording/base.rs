@@ -7,7 +7,7 @@ use crate::formats::observations::LeftOut;
 use crate::formats::receiver::TimeReference;
 use crate::gnss::{
     AntennaCatalogue, BaseSite, BaseStation, Ecef, Enu, Epoch, GpsTime, LocalFrame, Navigation,
-    PositionSource,
+    PositionSource, antenna_reference_point,
 };
 use crate::positioning::{Aiding, BASE_LATER_S, BASE_MOVED_M, BaseAiding, Estimator};
 
@@ -34,7 +34,7 @@ pub struct BaseRecording<'a> {
     averaged: u64,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
-    /// Number of times that messages moved it.
+    /// Number of times that messages or header records moved it.
     moves: u64,
     /// An epoch that is later than the rover's, with the antenna reference point at its time.
     ahead: Option<(Epoch, Ecef)>,
@@ -164,14 +164,22 @@ impl<'a> BaseRecording<'a> {
         Ok(Some((epoch, point)))
     }
 
-    /// The antenna reference point at the epoch read last: messages may move it.
+    /// The antenna reference point at the epoch read last: messages may move it, and so may header
+    /// records in the file, after an event.
     fn antenna_reference_point(&self) -> Ecef {
-        let station = match self.site.source {
-            PositionSource::Message => self.reader.station(),
-            _ => None,
+        let BaseSite { source, marker, .. } = self.site;
+        if source == PositionSource::Message {
+            let station = self.reader.station();
+            let reported = station.and_then(|station| station.antenna_reference_point);
+            return reported.unwrap_or(self.station.antenna_reference_point);
+        }
+        let Some(header) = self.reader.header() else {
+            return self.station.antenna_reference_point;
         };
-        let reported = station.and_then(|station| station.antenna_reference_point);
-        reported.unwrap_or(self.station.antenna_reference_point)
+        let in_header = header.approximate_position.filter(|_| source == PositionSource::Header);
+        let marker = in_header.unwrap_or(marker);
+        let antenna_delta_hen_m = header.antenna_delta_hen_m;
+        antenna_reference_point(marker, antenna_delta_hen_m)
     }
 
     /// The base data of the rover's epoch for an estimator.

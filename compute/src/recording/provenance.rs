@@ -26,7 +26,7 @@ pub struct BaseProvenance {
     /// Number of single-point positions of which the base's position is the mean; zero if another
     /// source gives it.
     pub averaged: u64,
-    /// Number of times that messages moved the base, as with virtual bases.
+    /// Number of times that messages, as with virtual bases, or header records moved the base.
     pub moves: u64,
 }
 
@@ -100,7 +100,7 @@ impl BaseProvenance {
         }
         if 0 < self.moves {
             lines.push(format!(
-                "base: messages moved it {} times; each epoch uses the position of its time",
+                "base: its file moved it {} times; each epoch uses the position of its time",
                 self.moves
             ));
         }
