@@ -7,6 +7,8 @@ use graphfix::store::{CommitterState, Store};
 
 use crate::support::database::{on_postgres, whole_session};
 use crate::support::proxy::{Mode, Proxy};
+#[cfg(target_os = "linux")]
+use crate::support::server::{Server, free_port, get_with};
 use crate::support::sessions::{created, desk, epoch};
 use crate::support::wait::until;
 
@@ -115,6 +117,34 @@ async fn a_commit_that_is_cut_off_is_resolved() {
         }
         assert_eq!(service.numbers().await, (1..=9).collect::<Vec<_>>());
         assert_eq!(service.sessions.counts().restores(), 0, "the state in memory was dropped");
+    })
+    .await;
+}
+
+/// Standard error on a full disk: the failures of the database cannot be logged, and the service
+/// serves again after them.
+#[cfg(target_os = "linux")]
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_log_that_cannot_be_written_stops_nothing() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let server = Server::start_with(&proxy.url(&database.url), free_port(), |command| {
+            command.stderr(full);
+        });
+        let ready = async |expected: u16| {
+            let status = async || get_with(server.port, "/readyz", "").map(|(status, _)| status);
+            let is_expected =
+                |status: &std::io::Result<u16>| status.as_ref().ok() == Some(&expected);
+            until("readiness", status, is_expected).await.unwrap();
+        };
+        ready(200).await;
+        proxy.set(Mode::Refuse);
+        ready(503).await;
+        proxy.set(Mode::Pass);
+        let passes = Instant::now();
+        ready(200).await;
+        assert!(passes.elapsed() < SERVED_WITHIN, "ready after {:?}", passes.elapsed());
     })
     .await;
 }
