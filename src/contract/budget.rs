@@ -40,6 +40,8 @@ struct Shared {
     limits: IntakeLimits,
     /// Bytes of all bodies that have arrived, as sent.
     arrived: Counter,
+    /// Failures of the service that were logged.
+    failures: Counter,
 }
 
 /// The memory of one request. It is returned when the last clone is dropped.
@@ -74,6 +76,7 @@ impl Budget {
             used: AtomicUsize::new(0),
             limits,
             arrived: Counter::default(),
+            failures: Counter::default(),
         }))
     }
 
@@ -106,6 +109,11 @@ impl Budget {
     /// Bytes of all bodies that have arrived, as sent.
     pub(super) fn arrived(&self) -> &Counter {
         &self.0.arrived
+    }
+
+    /// Failures of the service that were logged.
+    pub(super) fn failures(&self) -> &Counter {
+        &self.0.failures
     }
 
     /// Bytes in use.
@@ -148,6 +156,11 @@ impl Lease {
     /// The sender of the request; `None` if no key is needed.
     pub(crate) fn pass(&self) -> Option<&Pass> {
         self.0.pass.as_ref()
+    }
+
+    /// Counts a failure of the service.
+    pub(super) fn count_failure(&self) {
+        self.0.budget.0.failures.inc();
     }
 
     /// Notes that the request is traced.

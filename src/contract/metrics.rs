@@ -134,6 +134,8 @@ impl Service {
         registry.register("requests", "Requests by door and outcome", meters.requests.clone());
         let seconds = "Time from a request to the head of its answer";
         registry.register_with_unit("request", seconds, Unit::Seconds, meters.seconds.clone());
+        let failures = self.budget().failures().clone();
+        registry.register("failures", "Failures that were logged", failures);
         registry.register("connections", "Open connections", meters.connections.clone());
         let (received, bytes) = (self.budget().arrived().clone(), "Bytes of bodies of requests");
         registry.register_with_unit("received", bytes, Unit::Bytes, received);

@@ -7,7 +7,7 @@ use crate::contract::v1::create_job_request::Content;
 use crate::contract::{calls, v1};
 
 use super::metadata::idempotency_key;
-use super::status::carry;
+use super::status::{carry, carry_stream};
 use super::{Answered, Door, v1::jobs_server::Jobs};
 
 #[async_trait]
@@ -55,7 +55,7 @@ impl Jobs for Door {
         request: Request<v1::GetJobRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
         let messages = calls::job_watch::watch(&self.0.caller()?, request.into_inner()).await?;
-        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 
     type ResultStream = Answered<v1::JobResultResponse>;
@@ -65,11 +65,9 @@ impl Jobs for Door {
         request: Request<v1::GetJobRequest>,
     ) -> Result<Response<Self::ResultStream>, Status> {
         let result = calls::jobs::result(&self.0.caller()?, request.into_inner()).await?;
-        let answered = result.content().map(|content| match content {
-            Ok(content) => Ok(v1::JobResultResponse { content }),
-            Err(refusal) => Err(Status::from(refusal)),
-        });
-        Ok(Response::new(Box::pin(answered)))
+        let answered = |content| v1::JobResultResponse { content };
+        let messages = result.content().map(move |content| content.map(answered));
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 
     async fn report(

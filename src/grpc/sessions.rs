@@ -6,7 +6,7 @@ use tonic::{Request, Response, Status, async_trait};
 use crate::contract::{calls, v1};
 
 use super::metadata::request_id;
-use super::status::carry;
+use super::status::{carry, carry_stream};
 use super::{Answered, Door, v1::sessions_server::Sessions};
 
 #[async_trait]
@@ -49,7 +49,7 @@ impl Sessions for Door {
         request: Request<v1::WatchHeadsRequest>,
     ) -> Result<Response<Self::WatchHeadsStream>, Status> {
         let messages = calls::head_watch::watch(&self.0.caller()?, request.into_inner()).await?;
-        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 
     async fn update(
@@ -88,10 +88,8 @@ impl Sessions for Door {
     ) -> Result<Response<Self::ObservationsStream>, Status> {
         let file =
             calls::observations::observations(&self.0.caller()?, request.into_inner()).await?;
-        let answered = file.map(|content| match content {
-            Ok(content) => Ok(v1::SessionObservationsResponse { content }),
-            Err(refusal) => Err(Status::from(refusal)),
-        });
-        Ok(Response::new(Box::pin(answered)))
+        let answered = |content| v1::SessionObservationsResponse { content };
+        let messages = file.map(move |content| content.map(answered));
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 }

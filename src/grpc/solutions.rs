@@ -5,7 +5,7 @@ use tonic::{Request, Response, Status, async_trait};
 
 use crate::contract::{calls, v1};
 
-use super::status::carry;
+use super::status::{carry, carry_stream};
 use super::{Answered, Door, v1::solutions_server::Solutions};
 
 #[async_trait]
@@ -24,7 +24,7 @@ impl Solutions for Door {
         request: Request<v1::WatchSolutionsRequest>,
     ) -> Result<Response<Self::WatchStream>, Status> {
         let messages = calls::watch::watch(&self.0.caller()?, request.into_inner()).await?;
-        Ok(Response::new(Box::pin(messages.map(|message| message.map_err(Status::from)))))
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 
     type TrackStream = Answered<v1::TrackResponse>;
@@ -34,11 +34,9 @@ impl Solutions for Door {
         request: Request<v1::TrackRequest>,
     ) -> Result<Response<Self::TrackStream>, Status> {
         let track = calls::track::track(&self.0.caller()?, request.into_inner()).await?;
-        let answered = track.map(|content| match content {
-            Ok(content) => Ok(v1::TrackResponse { content }),
-            Err(refusal) => Err(Status::from(refusal)),
-        });
-        Ok(Response::new(Box::pin(answered)))
+        let answered = |content| v1::TrackResponse { content };
+        let messages = track.map(move |content| content.map(answered));
+        Ok(Response::new(Box::pin(carry_stream(messages))))
     }
 
     async fn series(

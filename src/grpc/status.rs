@@ -2,11 +2,12 @@
 
 use std::collections::HashMap;
 
+use futures::{Stream, StreamExt};
 use prost::Message;
 use tonic::{Code as GrpcCode, Response, Status};
 use tonic_types::{ErrorDetails, StatusExt};
 
-use crate::contract::{Refusal, log_failure};
+use crate::contract::{Lease, Refusal, log_failure};
 use crate::refusal::{Class, Code};
 
 /// Length from which answers are compressed (bytes). For shorter ones it is not worth the time.
@@ -83,6 +84,18 @@ pub(super) fn carry<T: Message>(outcome: Result<T, Refusal>) -> Result<Response<
         response
     };
     outcome.map(answer).map_err(|refusal| to_status(&refusal))
+}
+
+/// The messages of a stream in the form of tonic. The log of a failure names the request.
+pub(super) fn carry_stream<T>(
+    messages: impl Stream<Item = Result<T, Refusal>>,
+) -> impl Stream<Item = Result<T, Status>> {
+    let lease = Lease::current();
+    let status = move |refusal| match &lease {
+        Some(lease) => lease.during(|| to_status(&refusal)),
+        None => to_status(&refusal),
+    };
+    messages.map(move |message| message.map_err(&status))
 }
 
 /// For clients: the stable code of a status from this service.

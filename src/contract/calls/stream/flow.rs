@@ -129,6 +129,8 @@ pub(super) struct Flow<C: Carried, I, E> {
     last_received: Instant,
     answered: Instant,
     timer: Pin<Box<Sleep>>,
+    /// The lease of the request, which its log names.
+    lease: Option<Lease>,
     _permit: Option<OwnedSemaphorePermit>,
 }
 
@@ -154,7 +156,7 @@ where
             phase: Phase::Opening,
             opened: None,
             answers: Answers::new(),
-            ledger: Ledger::new(window, lease),
+            ledger: Ledger::new(window, lease.clone()),
             is_reading: true,
             waiting_push: None,
             fault: None,
@@ -166,9 +168,16 @@ where
             answered: now,
             timer: Box::pin(sleep_until(now + KEEPALIVE)),
             caller: caller.clone(),
+            lease,
             _permit: None,
         };
-        futures::stream::unfold(flow, |mut flow| async move { Some((flow.next().await?, flow)) })
+        futures::stream::unfold(flow, |mut flow| async move {
+            let next = match flow.lease.clone() {
+                Some(lease) => lease.scope(flow.next()).await,
+                None => flow.next().await,
+            };
+            Some((next?, flow))
+        })
     }
 
     async fn next(&mut self) -> Option<Result<C::Response, E>> {
