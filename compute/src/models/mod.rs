@@ -31,5 +31,6 @@ pub use geometry::{LookAngles, RangeRate, geometric_range, look_angles, range_ra
 pub use group_delay::group_delay_m;
 pub(crate) use group_delay::{UNSTATED_DELAY_M, unstated_delay_m};
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
-pub(crate) use selection::{ephemerides_in_force, select_ephemeris_within};
+pub(crate) use selection::{closest_ephemerides, ephemerides_in_force, select_ephemeris_within};
 pub use selection::{is_usable, select_ephemeris, validity_s};
+pub(crate) use weights::usual_accuracy_m;

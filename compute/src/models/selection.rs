@@ -21,7 +21,7 @@ const BEIDOU_S: f64 = 2.0 * SECONDS_PER_HOUR;
 /// message's own signals are zero. If they are not, an older healthy ephemeris is not used either.
 /// *Message*: in the order LNAV, CNAV, CNAV-2; I/NAV, F/NAV; D1 or D2, B-CNAV1, 2, 3: the first is
 /// what every satellite of the system sends, and a later one is used only if the earlier ones have
-/// nothing valid and healthy.
+/// nothing valid and healthy, or no group delay of an observed signal.
 pub fn select_ephemeris(
     navigation: &Navigation,
     satellite: SatelliteId,
@@ -37,6 +37,17 @@ pub(crate) fn select_ephemeris_within(
     time: GpsTime,
     beidou_s: f64,
 ) -> Option<&Ephemeris> {
+    closest_ephemerides(navigation, satellite, time, beidou_s).next()
+}
+
+/// The closest valid ephemeris of each message that is healthy, in the order of preference; see
+/// [`select_ephemeris`]. Those of BeiDou are valid to `beidou_s` from toe (s).
+pub(crate) fn closest_ephemerides(
+    navigation: &Navigation,
+    satellite: SatelliteId,
+    time: GpsTime,
+    beidou_s: f64,
+) -> impl Iterator<Item = &Ephemeris> {
     let reach_s = |ephemeris: &Ephemeris| match satellite.constellation {
         Constellation::BeiDou => beidou_s,
         _ => validity_s(ephemeris),
@@ -61,7 +72,7 @@ pub(crate) fn select_ephemeris_within(
             *of_message = Some((distance_s, ephemeris));
         }
     }
-    closest.into_iter().flatten().map(|(_, closest)| closest).find(|closest| is_healthy(closest))
+    closest.into_iter().flatten().map(|(_, closest)| closest).filter(|closest| is_healthy(closest))
 }
 
 /// All healthy and valid ephemerides of `satellite` at `time`, in order of toe, those of BeiDou
@@ -138,6 +149,9 @@ fn is_healthy(ephemeris: &Ephemeris) -> bool {
             (Constellation::Galileo, _) => e.health & 0b111_000_111 == 0,
             // The last bit is that of L1C/B, which a satellite sends in place of L1C/A.
             (Constellation::Qzss, M::Lnav) => e.health & !1 == 0,
+            // Bits of L1, L2 and L5 (IS-GPS-200N, 30.3.3.1.1.2). GPS has set the last one on all
+            // satellites since L5 is on the air. LNAV has none for it.
+            (_, M::Cnav) => e.health & 0b110 == 0,
             _ => e.health == 0,
         },
     }
@@ -257,6 +271,8 @@ mod tests {
         assert!(with(sample::galileo(), 0b000_010_000) && !with(fnav(), 0b000_010_000));
         assert!(!with(sample::galileo(), 0b000_000_010) && with(fnav(), 0b000_000_010));
         assert!(with(sample::qzss(), 1) && !with(sample::qzss(), 0b10_0000));
+        let cnav = || KeplerianEphemeris { message: NavigationMessage::Cnav, ..sample::gps() };
+        assert!(with(cnav(), 0b001) && !with(cnav(), 0b100) && !with(cnav(), 0b010));
         let sick =
             Ephemeris::Glonass(crate::gnss::GlonassEphemeris { health: 1, ..sample::glonass() });
         assert_eq!(chosen(&navigation([sick]), "R07", 0.0), None);

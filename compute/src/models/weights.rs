@@ -4,7 +4,7 @@
 //! choices of its parameters. It covers the receiver's noise and multipath only. Orbit and clock
 //! ([`ephemeris_variance_m2`]), troposphere and ionosphere add their variances.
 
-use crate::gnss::{Ephemeris, NO_PREDICTION_M, NavigationMessage};
+use crate::gnss::{Constellation, Ephemeris, NO_PREDICTION_M, NavigationMessage};
 
 /// Dependence of the variance on elevation.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -147,6 +147,19 @@ const URA_BOUNDS_M: [f64; 15] = [
 const UNSTATED_M: f64 = URA_BOUNDS_M[0];
 /// GLONASS-M's orbit and clock where F_T is not given (m), as RTKLIB's `ERREPH_GLO`.
 const UNSTATED_GLONASS_M: f64 = 5.0;
+/// SISA of index 107 (m), which Galileo broadcasts for its satellites in normal operation.
+const USUAL_SISA_M: f64 = 3.12;
+
+/// The largest accuracy that messages of satellites in normal operation state (m); it is a bound of
+/// the error. In the navigation files of docs/accuracy.md nearly all satellites have a URA index of
+/// 0 to 2, and those of Galileo this SISA or a smaller one.
+pub(crate) const fn usual_accuracy_m(constellation: Constellation) -> f64 {
+    match constellation {
+        Constellation::Gps | Constellation::Qzss | Constellation::BeiDou => URA_BOUNDS_M[2],
+        Constellation::Galileo => USUAL_SISA_M,
+        Constellation::Glonass => UNSTATED_GLONASS_M,
+    }
+}
 
 /// Variance of a range due to the broadcast orbit and clock (m²).
 ///

@@ -28,7 +28,7 @@ use crate::gnss::{
 };
 use crate::models::troposphere::{Mapping, Troposphere};
 use crate::models::{
-    LookAngles, SatelliteState, geometric_range, look_angles, select_ephemeris,
+    LookAngles, SatelliteState, geometric_range, look_angles, select_ephemeris_within,
     state_at_transmission,
 };
 
@@ -190,7 +190,9 @@ impl SingleDifferences {
                 && self.satellites.iter().all(|known| known.satellite != satellite);
             let place = self.base.binary_search_by_key(&satellite, |entry| entry.0);
             let (Ok(place), true) = (place, wanted) else { continue };
-            let Some(ephemeris) = select_ephemeris(navigation, satellite, rover.time) else {
+            let reach_s = options.ephemeris_beidou_s;
+            let closest = select_ephemeris_within(navigation, satellite, rover.time, reach_s);
+            let Some(ephemeris) = closest else {
                 self.without_ephemeris.push(satellite);
                 continue;
             };

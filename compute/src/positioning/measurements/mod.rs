@@ -20,8 +20,8 @@ use crate::gnss::{
     Observation, ObservationCode, Odometry, Reason, SatelliteId, Signal,
 };
 use crate::models::{
-    LookAngles, SatelliteState, UNSTATED_DELAY_M, ephemerides_in_force, group_delay_m,
-    select_ephemeris_within, state_at_transmission, unstated_delay_m,
+    LookAngles, SatelliteState, UNSTATED_DELAY_M, closest_ephemerides, ephemerides_in_force,
+    group_delay_m, state_at_transmission, unstated_delay_m,
 };
 
 use atmosphere::Atmosphere;
@@ -155,12 +155,16 @@ impl Measurements {
             }
             *bits |= bit;
             let reach_s = options.ephemeris_beidou_s;
-            let nearest = select_ephemeris_within(navigation, satellite, epoch.time, reach_s);
-            let Some(ephemeris) = nearest else {
+            let closest = closest_ephemerides(navigation, satellite, epoch.time, reach_s);
+            let mut closest = closest.peekable();
+            if closest.peek().is_none() {
                 self.without_ephemeris.push(satellite);
                 continue;
-            };
-            self.list.extend(measurement(epoch.time, ephemeris, observations, options, bands));
+            }
+            // D1 has no group delay of B1C and B2a, B-CNAV has.
+            let of_message =
+                |ephemeris| measurement(epoch.time, ephemeris, observations, options, bands);
+            self.list.extend(closest.find_map(of_message));
         }
         self.without_ephemeris.sort_unstable();
     }

@@ -8,7 +8,7 @@ use crate::gnss::{Band, Constellation, ObservationCode, Signal};
 /// Order: on L1 the signal that nearly every receiver tracks and the legacy message describes (C/A,
 /// E1, B1I); elsewhere pilots before combined before data channels; GPS L2 semi-codeless P(Y)
 /// before L2C, because T_GD of the legacy message is that of P(Y). Codes are those of RINEX 3.05,
-/// tables 4 to 10.
+/// tables 4 to 10, and L1 C/B (1E) of RINEX 4, which newer QZSS satellites send in place of C/A.
 pub(crate) fn preference(signal: Signal, band: Band) -> Option<u8> {
     use Constellation as C;
     let order: &[&str] = match (signal.constellation, band) {
@@ -26,7 +26,7 @@ pub(crate) fn preference(signal: Signal, band: Band) -> Option<u8> {
         (C::BeiDou, Band::L2) => &["7I", "7X", "7Q", "7P", "7Z", "7D"],
         (C::BeiDou, Band::L5) => &["5P", "5X", "5D", "8P", "8X", "8D"],
         (C::BeiDou, Band::L6) => &["6I", "6X", "6Q"],
-        (C::Qzss, Band::L1) => &["1C", "1L", "1X", "1S", "1Z"],
+        (C::Qzss, Band::L1) => &["1C", "1E", "1L", "1X", "1S", "1Z"],
         (C::Qzss, Band::L2) => &["2L", "2X", "2S"],
         (C::Qzss, Band::L5) => &["5Q", "5X", "5I"],
         (C::Qzss, Band::L6) => &["6L", "6X", "6S"],

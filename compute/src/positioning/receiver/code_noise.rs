@@ -12,13 +12,16 @@
 //! residuals, each weighted by its independent share. The floor of 1 m is multipath of a strong
 //! signal with orbit and clock errors; thermal noise grows as 10^(−S/20) (Hartinger & Brunner 1999,
 //! SIGMA-ε). Slope and width of π and the 4 m come from tables of pseudorange errors by C/N0 of one
-//! receiver (docs/estimation.md). i is a standard deviation of two parts. One is that of the
+//! receiver (docs/estimation.md). i is a standard deviation of three parts. One is that of the
 //! ionosphere's model beyond the smallest one of the epoch, because a common error goes into the
-//! clock. The other is that of a group delay that the message does not contain.
+//! clock. Another is that of a group delay that the message does not contain. The third is zero
+//! for the accuracy that messages usually state: the floor covers it. Beyond that, the floor grows
+//! in proportion to the stated accuracy.
 
 use std::f64::consts::LN_10;
 
 use crate::gnss::{Constellation, SatelliteId};
+use crate::models::usual_accuracy_m;
 use crate::positioning::Measurement;
 use crate::snapshot::snapshot_fields;
 
@@ -58,22 +61,29 @@ const CN0_IF_MISSING_DB_HZ: f64 = 38.0;
 pub(in crate::positioning) struct Signal {
     pub(in crate::positioning) cn0_db_hz: Option<f64>,
     pub(in crate::positioning) elevation_rad: f64,
-    /// Standard deviation of the models of ionosphere and group delay beyond the part that all
-    /// satellites share (m).
+    /// Standard deviation of ionosphere, group delay, orbit and clock beyond the parts that all
+    /// satellites share and that the floor covers (m).
     pub(in crate::positioning) model_m: f64,
 }
 
 impl Signal {
     /// From a corrected measurement; `common_m` is [`common_ionosphere_m`] of its epoch.
     pub(in crate::positioning) fn of(measurement: &Measurement, common_m: f64) -> Self {
+        let ionosphere_m = (measurement.ionosphere_sigma_m - common_m).max(0.0);
+        let satellite_m2 = measurement.group_delay_m2 + unusual_m2(measurement);
         Self {
             cn0_db_hz: measurement.cn0_db_hz,
             elevation_rad: measurement.look.elevation_rad,
-            model_m: (measurement.ionosphere_sigma_m - common_m)
-                .max(0.0)
-                .hypot(measurement.group_delay_m2.sqrt()),
+            model_m: ionosphere_m.hypot(satellite_m2.sqrt()),
         }
     }
+}
+
+/// Variance of orbit and clock beyond the floor (m²), by the accuracy that the message states.
+fn unusual_m2(measurement: &Measurement) -> f64 {
+    let usual_m = usual_accuracy_m(measurement.satellite.constellation);
+    let ratio = measurement.state.variance_m2 / (usual_m * usual_m);
+    FLOOR_M * FLOOR_M * (ratio - 1.0).max(0.0)
 }
 
 /// Standard deviation of the ionosphere's model that all satellites share (m): this part of the
