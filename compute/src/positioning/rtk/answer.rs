@@ -36,14 +36,29 @@ pub(crate) struct AnswerParts<'a> {
     pub(crate) options: &'a RtkOptions,
 }
 
-/// Covariance of a position by the ionosphere's gradient over a baseline, ENU (m²).
+/// Standard deviation of the zenith wet delay's decrease with height, relative to the standard
+/// atmosphere's (m/m). The zenith wet delay at sea level is 0 to 0.4 m, in the standard atmosphere
+/// 0.1 m, and water vapour decreases to 1/e in some 2 km: 0.1 m/2 km.
+const WET_DELAY_GRADIENT: f64 = 5e-5;
+/// Error of the height by a zenith delay at one of two receivers: Beutler, Bauersima, Gurtner,
+/// Rothacher, Schildknecht & Geiger (1988), *Atmospheric refraction and other important biases in
+/// GPS carrier phase observations*: 3 mm for each millimetre.
+const HEIGHT_BY_ZENITH_DELAY: f64 = 3.0;
+
+/// Covariance of a position by the atmosphere over a baseline (ENU, m), ENU (m²).
 ///
-/// The gradient lasts for minutes and is the same for all satellites, so its effect does not
-/// average out. σ is g·d in each horizontal direction and 2·g·d in height, because the delay has
-/// the same sign on all satellites.
-pub(crate) fn gradient_covariance(options: &RtkOptions, baseline_m: f64) -> Matrix3<f64> {
-    let sigma_m = options.ionosphere_gradient * baseline_m;
-    Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, 4.0)) * (sigma_m * sigma_m)
+/// The ionosphere's gradient lasts for minutes and is the same for all satellites, so its effect
+/// does not average out. σ is g·d in each horizontal direction and 2·g·d in height, because the
+/// delay has the same sign on all satellites. A difference in height adds the troposphere.
+pub(crate) fn atmosphere_covariance(
+    options: &RtkOptions,
+    baseline_m: &Vector3<f64>,
+) -> Matrix3<f64> {
+    let ionosphere_m = options.ionosphere_gradient * baseline_m.norm();
+    let troposphere_m = HEIGHT_BY_ZENITH_DELAY * WET_DELAY_GRADIENT * baseline_m.z;
+    let mut covariance = Matrix3::from_diagonal_element(ionosphere_m * ionosphere_m);
+    covariance[(2, 2)] = (2.0 * ionosphere_m).powi(2) + troposphere_m * troposphere_m;
+    covariance
 }
 
 /// The solution of an epoch.
@@ -67,7 +82,7 @@ pub(crate) fn solution(parts: AnswerParts<'_>) -> Solution {
     reasons.extend(base.position_warning);
     let position = frame.to_ecef(Enu(local));
     let baseline_m = position.0 - base.station.antenna_reference_point.0;
-    let uncertainty = uncertainty + gradient_covariance(parts.options, baseline_m.norm());
+    let uncertainty = uncertainty + atmosphere_covariance(parts.options, &(rotation * baseline_m));
     let mut used: Vec<_> = differences.list.iter().map(|d| d.common).collect();
     used.sort_unstable_by_key(|&common| differences.satellites[common].satellite);
     used.dedup();
@@ -114,8 +129,8 @@ pub(crate) fn better_known(float: Solution, companion: Solution, options: &RtkOp
     let Some(relative) = &own.relative else { return float };
     let baseline_m = relative.baseline_m + (other.position.0 - own.position.0);
     let rotation = LocalFrame::at(own.position).rotation;
-    let gradient = gradient_covariance(options, baseline_m.norm());
-    other.covariance += rotation.transpose() * gradient * rotation;
+    let atmosphere = atmosphere_covariance(options, &(rotation * baseline_m));
+    other.covariance += rotation.transpose() * atmosphere * rotation;
     let horizontal_m2 = |e: &SolutionEstimate| horizontal_m2(e.position, &e.covariance);
     if horizontal_m2(own) <= horizontal_m2(&other) {
         return float;
@@ -154,7 +169,7 @@ pub(crate) fn moved(
         let mut covariance = *covariance;
         if let Some(relative) = &mut estimate.relative {
             relative.baseline_m += moved.0 - estimate.position.0;
-            covariance += gradient_covariance(options, relative.baseline_m.norm());
+            covariance += atmosphere_covariance(options, &(rotation * relative.baseline_m));
         }
         estimate.position = moved;
         estimate.covariance = rotation.transpose() * covariance * rotation;
@@ -198,4 +213,21 @@ pub(crate) fn keeps_from_fixing(reason: &Reason) -> bool {
             | Reason::FixImprecise { .. }
             | Reason::TooFewCommonSatellites { .. }
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Mode, PositioningOptions, Profile};
+
+    /// 1 mm/km over 13 km; 3·0.05 mm/m over 5 km of height.
+    #[test]
+    fn the_atmosphere_over_a_baseline_worked_by_hand() {
+        let mut options = PositioningOptions::new(Mode::RtkFgo, Profile::General).rtk;
+        options.ionosphere_gradient = 1e-6;
+        let found = atmosphere_covariance(&options, &Vector3::new(12_000.0, 0.0, 5_000.0));
+        let expected = Vector3::new(0.013_f64.powi(2), 0.013_f64.powi(2), 0.026_f64.powi(2));
+        let expected = Matrix3::from_diagonal(&(expected + Vector3::new(0.0, 0.0, 0.75 * 0.75)));
+        assert!((found - expected).norm() < 1e-12, "{found}");
+    }
 }
