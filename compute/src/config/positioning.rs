@@ -134,7 +134,10 @@ impl PositioningOptions {
             group_delay_beidou: true,
             ephemeris_beidou_s: 2.0 * SECONDS_PER_HOUR,
             troposphere: TroposphereModel::Saastamoinen,
-            troposphere_mapping: TroposphereMapping::Cosecant,
+            troposphere_mapping: match mode {
+                Mode::Fgo | Mode::Ekf => TroposphereMapping::Niell,
+                Mode::Spp | Mode::RtkFgo | Mode::RtkEkf => TroposphereMapping::Cosecant,
+            },
             weighting: WeightModel::Cn0Elevation,
             pseudorange_sigma_m: 0.3,
             cn0_sigma_m: 1.5,
