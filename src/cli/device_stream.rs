@@ -274,7 +274,11 @@ impl<C: Cargo> DeviceStream<C> {
         }
         let Amount { count, bytes } = open.credit;
         let message = format!("the service takes {count} {} and {bytes} bytes at a time", C::UNIT);
-        Err(Failure::new(Code::CreditExceeded, message, "raise limits.stream_bytes there"))
+        let remedy = match first.amount.count <= count {
+            true => "raise limits.stream_bytes there",
+            false => "raise limits.stream_epochs and limits.mailbox_epochs there",
+        };
+        Err(Failure::new(Code::CreditExceeded, message, remedy))
     }
 
     /// Takes an answer: drops the settled messages, and sends what the credit allows.

@@ -154,7 +154,9 @@ pub(super) async fn end(
     path = "/v1/jobs/{job}/result", tag = "Jobs",
     params(("job" = String, Path, description = "Its id")),
     responses((status = 200, description = "The file of positions",
-        body = String, content_type = "text/plain"),
+        content((String = "text/plain"), (String = "text/csv"),
+            (String = "application/geo+json"), (String = "application/vnd.google-earth.kml+xml"),
+            (String = "application/gpx+xml"), (String = "application/vnd.apache.parquet"))),
         Refused))]
 pub(super) async fn result(caller: Caller, Path(job): Path<String>) -> Result<Response, Refused> {
     let result = calls::jobs::result(&caller, v1::GetJobRequest { job }).await?;

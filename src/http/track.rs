@@ -28,7 +28,10 @@ pub(super) fn routes() -> Router<Service> {
     params(("session" = String, Path, description = "Its id"),
         ("format" = String, Path,
             description = "pos, csv, geojson, kml, gpx, nmea or parquet"), TrackQuery),
-    responses((status = 200, description = "The file", body = String, content_type = "text/plain"),
+    responses((status = 200, description = "The file",
+        content((String = "text/plain"), (String = "text/csv"),
+            (String = "application/geo+json"), (String = "application/vnd.google-earth.kml+xml"),
+            (String = "application/gpx+xml"), (String = "application/vnd.apache.parquet"))),
         Refused))]
 pub(super) async fn track(
     caller: Caller,

@@ -27,6 +27,12 @@ const ARCHIVE_INTERVAL_MIN_S: u64 = 60;
 
 /// Longest retention (days): a century.
 pub const RETENTION_MAX_DAYS: u32 = 36_500;
+/// Longest duration (s): a century.
+const DURATION_MAX_S: u64 = RETENTION_MAX_DAYS as u64 * 86_400;
+/// Largest number of connections, sessions, epochs or streams.
+const NUMBER_MAX: u64 = 1 << 32;
+/// Largest number of jobs that run at once; each has a connection to the database.
+const RUNNING_MAX: u64 = 1024;
 
 /// The database if none is named.
 pub const STANDARD_DATABASE: &str = "sqlite://graphfix.db";
@@ -321,10 +327,51 @@ impl ServiceConfiguration {
                 return Err(ServiceConfigurationError::Malformed(why));
             }
         }
+        if let Some((name, most)) = self.too_large() {
+            let why = format!("{name} must be at most {most}");
+            return Err(ServiceConfigurationError::Malformed(why));
+        }
         match limits.zero() {
             Some(name) => Err(ServiceConfigurationError::ZeroLimit(name)),
             None => Ok(()),
         }
+    }
+
+    /// The name of a duration or number that no clock or queue can hold, with its largest value.
+    fn too_large(&self) -> Option<(&'static str, u64)> {
+        let Self { limits, jobs, navigation, bases, .. } = self;
+        let durations_s = [
+            ("limits.head_s", limits.head_s),
+            ("limits.body_silence_s", limits.body_silence_s),
+            ("limits.idle_s", limits.idle_s),
+            ("limits.future_s", limits.future_s),
+            ("limits.solve_s", limits.solve_s),
+            ("limits.stream_idle_s", limits.stream_idle_s),
+            ("limits.drain_notice_s", limits.drain_notice_s),
+            ("limits.drain_s", limits.drain_s),
+            ("navigation.archive_interval_s", navigation.archive_interval_s),
+            ("bases.table_interval_s", bases.table_interval_s),
+            ("bases.idle_s", bases.idle_s),
+            ("jobs.silent_s", jobs.silent_s),
+            ("jobs.run_s", jobs.run_s),
+            ("jobs.checkpoint_s", jobs.checkpoint_s),
+            ("jobs.fetch_s", jobs.fetch_s),
+            ("jobs.webhook_delay_s", jobs.webhook_delay_s),
+        ];
+        let numbers = [
+            ("limits.connections", limits.connections),
+            ("limits.active_sessions", limits.active_sessions),
+            ("limits.mailbox_epochs", limits.mailbox_epochs),
+            ("limits.waiting_epochs", limits.waiting_epochs),
+            ("limits.streams", limits.streams),
+            ("limits.stream_epochs", limits.stream_epochs),
+            ("limits.watches", limits.watches),
+        ];
+        let durations_s = durations_s.map(|(name, value)| (name, value, DURATION_MAX_S));
+        let numbers = numbers.map(|(name, value)| (name, value as u64, NUMBER_MAX));
+        let running = ("jobs.running", jobs.running as u64, RUNNING_MAX);
+        let mut all = durations_s.into_iter().chain(numbers).chain([running]);
+        all.find(|(_, value, most)| most < value).map(|(name, _, most)| (name, most))
     }
 }
 
@@ -427,6 +474,21 @@ mod tests {
             configuration.limits.history_days = days;
             assert_eq!(configuration.check().is_ok(), allowed, "{days}");
         }
+    }
+
+    #[test]
+    fn a_limit_beyond_clocks_and_queues_is_refused() {
+        let refused = |change: fn(&mut ServiceConfiguration)| {
+            let mut configuration = ServiceConfiguration::standard();
+            change(&mut configuration);
+            configuration.check().unwrap_err().to_string()
+        };
+        let head = refused(|configuration| configuration.limits.head_s = u64::MAX);
+        assert!(head.contains("limits.head_s must be at most 3153600000"), "{head}");
+        let mailbox = refused(|configuration| configuration.limits.mailbox_epochs = usize::MAX);
+        assert!(mailbox.contains("limits.mailbox_epochs must be at most 4294967296"), "{mailbox}");
+        let running = refused(|configuration| configuration.jobs.running = usize::MAX);
+        assert!(running.contains("jobs.running must be at most 1024"), "{running}");
     }
 
     #[test]

@@ -19,7 +19,8 @@ macro_rules! requests {
         "send the content type or encoding that the message names";
     /// The body or message exceeds its limit.
     BodyTooLarge = "BODY_TOO_LARGE", TooLarge,
-        "split the request, or let the operator raise limits.body_bytes";
+        "split the request, or let the operator raise limits.body_bytes, for memory \
+         limits.request_memory_bytes";
     /// The unpacked upload exceeds its limit.
     DecompressedTooLarge = "DECOMPRESSED_TOO_LARGE", TooLarge,
         "split the file, or let the operator raise limits.decompressed_bytes";
