@@ -1,7 +1,7 @@
 //! `graphfix compare`: positions one recording in several modes and writes a report.
 
 use std::fs::File;
-use std::io::{BufReader, IsTerminal, Write};
+use std::io::{BufReader, IsTerminal};
 use std::path::PathBuf;
 use std::str::FromStr;
 use std::time::Instant;
@@ -19,6 +19,7 @@ use crate::refusal::Code;
 use super::Failure;
 use super::evaluate::Triple;
 use super::option_arguments::{assignments, check_as_computed};
+use super::output::print;
 use super::recording::RecordingArguments;
 
 /// Largest number of methods of one report: more lines cannot be distinguished in a plot.
@@ -122,9 +123,7 @@ pub(crate) fn run(arguments: &CompareArguments) -> Result<(), Failure> {
     };
     let page = comparison.html().map_err(|error| unwritable(&error))?;
     std::fs::write(&arguments.output, page).map_err(|error| unwritable(&error))?;
-    // Err: standard output is closed.
-    std::io::stdout().write_all(table(&comparison).as_bytes()).ok();
-    Ok(())
+    print(&table(&comparison))
 }
 
 impl CompareArguments {

@@ -1,7 +1,5 @@
 //! `graphfix config`: every option with its value in force.
 
-use std::io::Write;
-
 use clap::Args;
 use serde::Serialize;
 
@@ -9,6 +7,7 @@ use crate::config::{OptionEntry, PositioningOptions};
 
 use super::Failure;
 use super::option_arguments::OptionArguments;
+use super::output::print;
 
 /// Lists every option: name, unit, default, value in force, allowed values and meaning.
 #[derive(Debug, Args)]
@@ -51,9 +50,7 @@ impl From<OptionEntry> for OptionView {
 pub(crate) fn run(arguments: &ConfigArguments) -> Result<(), Failure> {
     let options = arguments.options.options(false)?;
     let text = if arguments.json { json(&options) } else { table(&options) };
-    // An error means that the reader of the pipe has closed it.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    print(&text)
 }
 
 fn json(options: &PositioningOptions) -> String {

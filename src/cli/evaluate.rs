@@ -1,13 +1,14 @@
 //! `graphfix evaluate`: a solution file against the truth.
 
 use std::fs::File;
-use std::io::{BufReader, Write};
+use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::Serialize;
 
 use super::Failure;
+use super::output::{note, print};
 use crate::evaluation::plot::{self, PlotError};
 use crate::evaluation::{
     Criteria, ErrorStatistics, Expected, Judgement, MatchedReport, Report, Truth, judge,
@@ -102,7 +103,7 @@ pub(crate) fn run(arguments: &EvaluateArguments) -> Result<(), Failure> {
     let solution = read_positions(open(&arguments.solution)?)
         .map_err(|error| unreadable(&arguments.solution, &error))?;
     if !solution.unreadable.is_empty() {
-        eprintln!(
+        note!(
             "warning: {}: {} unreadable lines left out, the first of them line {}",
             arguments.solution.display(),
             solution.unreadable.len(),
@@ -123,9 +124,7 @@ pub(crate) fn run(arguments: &EvaluateArguments) -> Result<(), Failure> {
     } else {
         table(&file, &judgement)
     };
-    // An error means that the reader of the pipe has closed it.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    print(&text)
 }
 
 impl EvaluateArguments {

@@ -17,6 +17,7 @@ use crate::refusal::Code;
 
 use super::Failure;
 use super::host;
+use super::output::print;
 use super::trust::{TrustArguments, address, tls_failure};
 
 /// Largest answer that is read (bytes).
@@ -68,10 +69,7 @@ pub(super) fn run(arguments: &HealthArguments) -> Result<(), Failure> {
         tokio::time::timeout(limit, asked(arguments)).await.map_err(late)?
     });
     match asked? {
-        Answer::Readiness { ready: true, .. } => {
-            println!("ready");
-            Ok(())
-        }
+        Answer::Readiness { ready: true, .. } => print("ready\n"),
         Answer::Readiness { problems, .. } => {
             Err(Failure::of(Code::ServiceNotReady, problems.join("; ")))
         }

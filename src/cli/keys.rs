@@ -1,7 +1,6 @@
 //! `graphfix keys`: the API keys in a database, which a service may be using.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 
 use clap::{Args, Subcommand};
 
@@ -13,6 +12,7 @@ use crate::store::{AuditEntry, AuditFilter, Store};
 use crate::tenant::{OPERATOR, Tenant};
 
 use super::database::{DatabaseArgument, author};
+use super::output::{print, print_once};
 use super::{Failure, host};
 
 const MS_PER_HOUR: i64 = 3_600_000;
@@ -104,15 +104,14 @@ fn hours() -> clap::builder::RangedI64ValueParser<u32> {
 /// # Errors
 /// The database cannot be opened, or the change is refused.
 pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
+    let shows_secret = matches!(arguments.act, Act::Create { .. } | Act::Rotate { .. });
     let text = host::block_on(async {
         let store = arguments.database.open().await?;
         let done = act(&store, arguments.act).await;
         store.close().await;
         Ok(done?)
     })?;
-    // An error means that the reader of the pipe has closed it.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    if shows_secret { print_once(&text) } else { print(&text) }
 }
 
 /// Does what one subcommand asks; returns the text to print.

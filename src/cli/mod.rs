@@ -19,6 +19,7 @@ mod host;
 mod keys;
 mod load;
 mod option_arguments;
+mod output;
 mod progress;
 mod recording;
 mod replay;
@@ -39,6 +40,8 @@ use std::process::ExitCode;
 use clap::{Parser, Subcommand};
 
 use crate::refusal::Code;
+
+use output::note;
 
 pub(crate) use failure::Failure;
 
@@ -102,7 +105,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     match command.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {
-            eprintln!("{failure}");
+            note!("{failure}");
             ExitCode::FAILURE
         }
     }
@@ -115,7 +118,7 @@ fn refuse(refusal: &clap::Error) -> ExitCode {
         refusal.print().ok();
         return ExitCode::SUCCESS;
     }
-    eprintln!("{}", usage_failure(refusal));
+    note!("{}", usage_failure(refusal));
     ExitCode::from(2)
 }
 

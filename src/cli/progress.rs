@@ -8,6 +8,7 @@ use crate::contract::v1;
 use super::Failure;
 use super::cargo::Cargo;
 use super::device_stream::{Acknowledged, DeviceStream, Next};
+use super::output::{note, say};
 
 /// The speed at which a file is played.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +68,7 @@ impl Progress {
             self.shown = Instant::now();
             match self.terminal {
                 true => eprint!("\r{}", self.line()),
-                false => eprintln!("{}", self.line()),
+                false => note!("{}", self.line()),
             }
         }
     }
@@ -79,7 +80,7 @@ impl Progress {
     /// Counts a refused epoch, and shows the first ones.
     fn refuse(&mut self, seq: u64, refusal: &v1::Refusal) {
         if self.refused < 10 {
-            eprintln!("epoch {seq} refused: {}: {}", refusal.code, refusal.message);
+            note!("epoch {seq} refused: {}: {}", refusal.code, refusal.message);
         }
         self.refused += 1;
     }
@@ -135,9 +136,9 @@ impl Progress {
 
     pub(super) fn close(&self) {
         if self.terminal {
-            eprintln!();
+            note!();
         }
-        println!(
+        say!(
             "{}, {:.1} s; {} with a position, {} skipped as stored, {} refused, {} breaks",
             self.line(),
             self.start.elapsed().as_secs_f64(),

@@ -1,7 +1,6 @@
 //! `graphfix replay`: computes a stored session again.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
@@ -18,6 +17,7 @@ use super::Failure;
 use super::database::DatabaseArgument;
 use super::host;
 use super::option_arguments::{assignments, check_as_computed};
+use super::output::print;
 use super::solve::{create, unwritable};
 
 /// Computes a stored session again from its epochs and the navigation data of that time.
@@ -72,9 +72,7 @@ async fn replay(arguments: &ReplayArguments) -> Result<(), Failure> {
     };
     store.close().await;
     let text = report?;
-    // An error means that nobody reads the result.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    print(&text)
 }
 
 impl ReplayArguments {

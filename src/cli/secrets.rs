@@ -1,7 +1,6 @@
 //! `graphfix secrets`: under which keys the secrets in a database are stored.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 
 use clap::{Args, Subcommand};
 
@@ -11,6 +10,7 @@ use crate::store::{Act as AuditedAct, Store};
 use crate::tenant::Tenant;
 
 use super::database::{DatabaseArgument, author};
+use super::output::print;
 use super::{Failure, host};
 
 /// Lists the keys under which secrets are stored (passwords at casters, secrets of webhooks), and
@@ -47,9 +47,7 @@ pub(super) fn run(arguments: SecretsArguments) -> Result<(), Failure> {
         store.close().await;
         done
     })?;
-    // An error means that the reader of the pipe has closed it.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    print(&text)
 }
 
 /// Does what one subcommand asks; returns the text to print.

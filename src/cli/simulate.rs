@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::Failure;
+use super::output::print;
 use crate::formats::gnss_logger::LogWriter;
 use crate::formats::odometry::{self, OdometryRow};
 use crate::formats::rinex::{
@@ -104,9 +105,7 @@ pub(crate) fn run(arguments: &SimulateArguments) -> Result<(), Failure> {
     let readme = folder.join("README.txt");
     let written = create(&readme)?.write_all(summary.as_bytes());
     written.map_err(|error| not_writable(&readme, &error))?;
-    // Err: standard output is closed.
-    std::io::stdout().write_all(summary.as_bytes()).ok();
-    Ok(())
+    print(&summary)
 }
 
 impl SimulateArguments {

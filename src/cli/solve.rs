@@ -1,7 +1,7 @@
 //! `graphfix solve`: a file of observations in, a file of positions out.
 
 use std::fs::File;
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, IsTerminal};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -20,6 +20,7 @@ use crate::refusal::Code;
 
 use super::Failure;
 use super::option_arguments::OptionArguments;
+use super::output::print;
 use super::recording::RecordingArguments;
 use super::solve_report::SolveReport;
 
@@ -102,9 +103,7 @@ pub(crate) fn run(arguments: &SolveArguments) -> Result<(), Failure> {
         report.write(facts, &tally, &provenance, elapsed)?;
         summary += &format!("report in {}\n", report.path().display());
     }
-    // Err: standard output is closed.
-    std::io::stdout().write_all(summary.as_bytes()).ok();
-    Ok(())
+    print(&summary)
 }
 
 impl SolveArguments {

@@ -21,6 +21,7 @@ use super::connection::Connection;
 use super::device_stream::DeviceStream;
 use super::files::{self, StartTime};
 use super::host;
+use super::output::{note, say};
 use super::progress::{Progress, Speed, parse_speed};
 use super::stream_raw::Bytestream;
 use super::trust::TrustArguments;
@@ -89,7 +90,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
     let connection = Connection::to(server, key.as_deref(), trust, patience)?;
     for path in &arguments.nav {
         let new = connection.push_navigation(path).await?;
-        eprintln!("{}: {new} new ephemerides", path.display());
+        note!("{}: {new} new ephemerides", path.display());
     }
     let label = arguments.rover.file_name().map(|name| name.to_string_lossy().into_owned());
     let new = v1::CreateSessionRequest {
@@ -100,7 +101,7 @@ async fn stream(arguments: StreamArguments) -> Result<(), Failure> {
         ..Default::default()
     };
     let session = connection.session(arguments.session.as_deref(), new).await?;
-    println!("session {}", session.session);
+    say!("session {}", session.session);
     let mut progress = Progress::start();
     let (id, answered) = (&*session.session, session.durable_through.unwrap_or(0));
     let (speed, answers) = (arguments.speed, v1::Answers::Summary);
@@ -227,7 +228,7 @@ impl Rover {
     /// its gzip stream ends early.
     fn report(&self) {
         for line in self.reader.left_out().to_string().lines() {
-            eprintln!("{}: {line}", self.path.display());
+            note!("{}: {line}", self.path.display());
         }
     }
 

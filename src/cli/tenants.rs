@@ -1,7 +1,6 @@
 //! `graphfix tenants`: the tenants in a database, which a service may be using.
 
 use std::fmt::Write as _;
-use std::io::Write as _;
 
 use clap::{Args, Subcommand};
 
@@ -9,6 +8,7 @@ use crate::quotas::{Meters, QuotaError, TenantInfo, TenantQuotas};
 use crate::tenant::{Quotas, Tenant};
 
 use super::database::{DatabaseArgument, author};
+use super::output::print;
 use super::{Failure, host, keys};
 
 /// Tenants read at a time.
@@ -76,9 +76,7 @@ pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
         store.close().await;
         Ok(done?)
     })?;
-    // An error means that the reader of the pipe has closed it.
-    std::io::stdout().write_all(text.as_bytes()).ok();
-    Ok(())
+    print(&text)
 }
 
 /// Does what one subcommand asks; returns the text to print.

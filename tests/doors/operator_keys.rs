@@ -46,6 +46,23 @@ async fn listed(doors: &Doors, secret: &str) -> (StatusCode, String) {
     (status, code(&answer).to_owned())
 }
 
+/// A secret that cannot be shown is a failure of the command, as is a report.
+#[cfg(target_os = "linux")]
+#[test]
+fn output_that_cannot_be_written_is_a_failure() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = format!("sqlite://{}", folder.path().join("keys.db").display());
+    let create = ["keys", "--database", &database, "create", "--right", "read"];
+    for arguments in [&create[..], &["config"]] {
+        let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_graphfix"));
+        let output = command.args(arguments).stdout(full).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {errors}");
+        assert!(errors.contains("FILE_NOT_WRITABLE"), "{errors}");
+    }
+}
+
 async fn the_operator_changes_keys_beside_the_service(database: Database) {
     let doors = Doors::on(&database.url).await;
     let url = &*database.url;

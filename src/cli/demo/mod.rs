@@ -26,6 +26,7 @@ use super::Failure;
 use super::connection::Connection;
 use super::host;
 use super::trust::TrustArguments;
+use crate::cli::output::say;
 
 /// The port that is tried first.
 const PORT: u16 = 8080;
@@ -77,9 +78,7 @@ async fn demo(arguments: DemoArguments) -> Result<(), Failure> {
     let (stop, stopped) = oneshot::channel::<()>();
     // Err: the demo failed and dropped the sender, which also stops the service.
     let serving = tokio::spawn(app.serve(listener, async { drop(stopped.await) }));
-    println!(
-        "the dashboard is at http://{address}/ (gRPC and REST too: /docs explains every call)"
-    );
+    say!("the dashboard is at http://{address}/ (gRPC and REST too: /docs explains every call)");
 
     let server = format!("http://{address}");
     let played = tokio::select! {
@@ -104,7 +103,7 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     write_navigation(&mut rinex, &navigation)
         .map_err(|error| Failure::new(Code::Internal, error, "report this"))?;
     let ephemerides = connection.push_navigation_bytes(rinex.into()).await?;
-    println!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
+    say!("pushed {ephemerides} simulated ephemerides; {} devices set off", arguments.devices);
 
     // The computation of this batch job gives way to that of the fleet's epochs.
     let survey = (!arguments.exit).then(|| {
@@ -128,14 +127,14 @@ async fn play(arguments: &DemoArguments, server: &str) -> Result<(), Failure> {
     table.summarise();
     if let Some(survey) = survey {
         let job = survey.await.map_err(|panic| Failure::new(Code::Internal, panic, "report this"));
-        println!("a recording as a batch job: {server}/#/jobs/{}", job??);
-        println!("the fleet drives on: see {server}/; interrupt to end");
+        say!("a recording as a batch job: {server}/#/jobs/{}", job??);
+        say!("the fleet drives on: see {server}/; interrupt to end");
     }
     while let Some(driven) = fleet.join_next().await {
         driven.map_err(|panic| Failure::new(Code::Internal, panic, "report this"))??;
     }
     if !arguments.exit {
-        println!("the drive is over; still serving at {server}/; interrupt to end");
+        say!("the drive is over; still serving at {server}/; interrupt to end");
         host::interrupted().await;
     }
     Ok(())

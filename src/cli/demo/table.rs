@@ -4,6 +4,7 @@ use std::io::Write;
 use std::time::{Duration, Instant};
 
 use super::fleet::{Report, Sky};
+use crate::cli::output::say;
 
 /// Interval between two drawings of the table.
 const EVERY: Duration = Duration::from_millis(250);
@@ -51,7 +52,7 @@ impl Table {
             self.draw();
         } else if !self.live && LINE_EVERY < self.shown.elapsed() {
             self.shown = Instant::now();
-            println!("{}", self.progress());
+            say!("{}", self.progress());
         }
     }
 
@@ -86,8 +87,8 @@ impl Table {
         if self.live {
             self.draw();
         }
-        println!("\n{}", self.progress());
-        println!("{:>24}  {:>8}  {:>8}  {:>8}", "", "50 %", "95 %", "max");
+        say!("\n{}", self.progress());
+        say!("{:>24}  {:>8}  {:>8}  {:>8}", "", "50 %", "95 %", "max");
         let [open, urban] = &self.errors_m;
         for (name, values) in [
             ("error, open sky (m)", open),
@@ -96,11 +97,11 @@ impl Table {
         ] {
             if !values.is_empty() {
                 let [median, high, most] = [0.5, 0.95, 1.0].map(|p| percentile(values, p));
-                println!("{name:>24}  {median:>8.2}  {high:>8.2}  {most:>8.2}");
+                say!("{name:>24}  {median:>8.2}  {high:>8.2}  {most:>8.2}");
             }
         }
-        println!("errors are horizontal, against the simulated truth");
-        println!("{} epochs without a position", self.without_position);
+        say!("errors are horizontal, against the simulated truth");
+        say!("{} epochs without a position", self.without_position);
     }
 }
 

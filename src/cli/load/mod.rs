@@ -27,6 +27,7 @@ use super::Failure;
 use super::connection::Connection;
 use super::host;
 use super::trust::TrustArguments;
+use crate::cli::output::note;
 
 /// Streams of one connection; the service allows some more, which the other calls use.
 const STREAMS_PER_CONNECTION: usize = 100;
@@ -113,7 +114,7 @@ async fn load(arguments: LoadArguments) -> Result<(), Failure> {
     let schedule = Schedule::new(arguments.rate, arguments.duration);
     let content = (arguments.raw, arguments.one_band);
     let traffic = Arc::new(Traffic::simulate(arguments.mode, content, schedule)?);
-    eprintln!("{}", traffic.description());
+    note!("{}", traffic.description());
     let base = traffic.prepare(&connections[0]).await?;
     let new = v1::CreateSessionRequest {
         label: "load".to_owned(),
@@ -128,7 +129,7 @@ async fn load(arguments: LoadArguments) -> Result<(), Failure> {
         return Err(Failure::of(Code::Usage, message));
     }
     let devices = created(&arguments, &connections, &new).await?;
-    eprintln!("{} sessions created", devices.len());
+    note!("{} sessions created", devices.len());
     let (opening, beginning) = (Instant::now(), Arc::new(Beginning::new(devices.len(), AT_ONCE)));
     let mut running = JoinSet::new();
     for device in devices {
@@ -136,7 +137,7 @@ async fn load(arguments: LoadArguments) -> Result<(), Failure> {
     }
     let begin = beginning.at().await;
     let opened = opening.elapsed();
-    eprintln!("streams open after {:.1} s", opened.as_secs_f64());
+    note!("streams open after {:.1} s", opened.as_secs_f64());
     let used = || Usage::of(&arguments.pid?.to_string()).processor_s;
     let used_before = used();
     let sent: Vec<Sent> = running.join_all().await;

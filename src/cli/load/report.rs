@@ -9,6 +9,7 @@ use crate::refusal::Code;
 
 use super::LoadArguments;
 use super::verification::Verified;
+use crate::cli::output::{note, say};
 
 /// Errors that are shown.
 const SHOWN: usize = 10;
@@ -87,26 +88,35 @@ impl Report {
 
     pub(super) fn print(&self, as_json: bool) {
         for error in &self.first_errors {
-            eprintln!("{error}");
+            note!("{error}");
         }
         if as_json {
-            println!("{}", serde_json::to_string(self).expect("numbers can be written as JSON"));
+            say!("{}", serde_json::to_string(self).expect("numbers can be written as JSON"));
             return;
         }
-        println!(
+        say!(
             "{} epochs of {} devices in {:.1} s: {:.0} a second",
-            self.epochs, self.devices, self.seconds, self.epochs_per_second
+            self.epochs,
+            self.devices,
+            self.seconds,
+            self.epochs_per_second
         );
-        println!(
+        say!(
             "acknowledged after {:.1} ms (median), {:.1} ms (99 %), {:.1} ms (longest)",
-            self.ack_p50_ms, self.ack_p99_ms, self.ack_max_ms
+            self.ack_p50_ms,
+            self.ack_p99_ms,
+            self.ack_max_ms
         );
-        println!(
+        say!(
             "{} errors, {} lost, {} doubled, {} unanswered, {} breaks",
-            self.errors, self.lost, self.doubled, self.unanswered, self.breaks
+            self.errors,
+            self.lost,
+            self.doubled,
+            self.unanswered,
+            self.breaks
         );
         if let Some(each_us) = self.processor_us_per_epoch {
-            println!("{each_us:.1} µs of processor time of the service for an epoch");
+            say!("{each_us:.1} µs of processor time of the service for an epoch");
         }
     }
 
