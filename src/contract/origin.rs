@@ -110,7 +110,9 @@ impl From<KeyError> for Refusal {
             KeyError::Store(error) => return error.clone().into(),
             KeyError::UnknownRight { index, .. } => Some(format!("rights[{index}]")),
             KeyError::NoRights => Some("rights".to_owned()),
-            KeyError::LabelTooLong { .. } => Some("label".to_owned()),
+            KeyError::LabelTooLong { .. } | KeyError::LabelControl { .. } => {
+                Some("label".to_owned())
+            }
             KeyError::NotFound { .. } => Some("key".to_owned()),
             _ => None,
         };

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde::Serialize;
+use tokio::time::timeout;
 
 use crate::cluster::Cluster;
 use crate::store::{CommitterHealth, CommitterState, DatabaseSetting, SettingRisk, Store};
@@ -14,6 +15,8 @@ use super::refusal::{RETRY_AFTER, spread};
 /// Longest time without a confirmation by the database. An idle committer probes every two seconds,
 /// and a commit has a deadline of five.
 const SILENCE_MAX: Duration = Duration::from_secs(10);
+/// Longest time of a read; less than what those who ask for the readiness wait.
+const READ_MAX: Duration = Duration::from_secs(2);
 
 /// Whether the service can work now, and if not, why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -91,8 +94,9 @@ impl Service {
         if let Some(free) = free_bytes.filter(|free| *free < needed) {
             problems.push(format!("the database's disk has {free} bytes left of {needed} needed"));
         }
-        if let Err(error) = store.check_reads().await {
-            problems.push(error.to_string());
+        // A database whose commits fail already is not asked: its answer may take long.
+        if problems.is_empty() {
+            problems.extend(read_problem(store).await);
         }
         let clock = self.sessions().clock_ahead().map(clock_warning);
         let retry_after = (!problems.is_empty()).then(|| spread(RETRY_AFTER));
@@ -108,6 +112,13 @@ impl Service {
             restores: counts.restores(),
             quarantined: counts.quarantined(),
         }
+    }
+}
+
+async fn read_problem(store: &Store) -> Option<String> {
+    match timeout(READ_MAX, store.check_reads()).await {
+        Ok(read) => read.err().map(|error| error.to_string()),
+        Err(_) => Some(format!("the database answers no read within {} s", READ_MAX.as_secs())),
     }
 }
 

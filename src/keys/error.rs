@@ -69,6 +69,12 @@ pub enum KeyError {
         /// The limit.
         limit: usize,
     },
+    /// The name for people is not one line of text.
+    #[error("character {at} of the label is a control character")]
+    LabelControl {
+        /// Its place, from 1.
+        at: usize,
+    },
     /// The key has ended and cannot be rotated.
     #[error("the key {id} has expired or is revoked")]
     Ended {
@@ -96,7 +102,9 @@ impl KeyError {
             Self::TooManyAttempts { .. } => Code::TooManyAttempts,
             Self::NotFound { .. } => Code::KeyNotFound,
             Self::TooMany { .. } => Code::TooManyKeys,
-            Self::UnknownRight { .. } | Self::NoRights => Code::InvalidField,
+            Self::UnknownRight { .. } | Self::NoRights | Self::LabelControl { .. } => {
+                Code::InvalidField
+            }
             Self::LabelTooLong { .. } => Code::LabelTooLong,
             Self::Ended { .. } => Code::KeyEnded,
             Self::NoRandomness(_) => Code::Internal,

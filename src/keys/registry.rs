@@ -111,6 +111,9 @@ impl KeyRegistry {
         if rights == Rights::NONE {
             return Err(KeyError::NoRights);
         }
+        if let Some(at) = label.chars().position(char::is_control) {
+            return Err(KeyError::LabelControl { at: at + 1 });
+        }
         let characters = label.chars().count();
         if LABEL < characters {
             return Err(KeyError::LabelTooLong { characters, limit: LABEL });
@@ -230,6 +233,17 @@ mod tests {
     fn new(lifetime_ms: Option<i64>) -> NewKey {
         let (tenant, label) = (Tenant::operator(), "rover".to_owned());
         NewKey { tenant, rights: Rights::of(&[Right::Device]), label, lifetime_ms }
+    }
+
+    /// A list of keys has one line for each.
+    #[tokio::test]
+    async fn a_label_is_one_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        let two_lines = NewKey { label: "rover\nkey_2".to_owned(), ..new(None) };
+        let refused = keys.create(two_lines, &author()).await.unwrap_err();
+        assert_eq!(refused.to_string(), "character 6 of the label is a control character");
+        assert_eq!(refused.code(), Code::InvalidField);
     }
 
     /// Keys that have ended do not count.

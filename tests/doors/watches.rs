@@ -160,6 +160,7 @@ async fn a_wrong_watch_is_refused() {
     let cases = [
         (request("ses_0"), "SESSION_NOT_FOUND"),
         (v1::WatchSolutionsRequest { cursor: "x".to_owned(), ..good() }, "CURSOR_INVALID"),
+        (v1::WatchSolutionsRequest { cursor: "1000.0".to_owned(), ..good() }, "CURSOR_INVALID"),
         (
             v1::WatchSolutionsRequest { cursor: "1.0".to_owned(), after_seq: Some(1), ..good() },
             "INVALID_FIELD",

@@ -122,7 +122,7 @@ async fn a_commit_that_is_cut_off_is_resolved() {
 }
 
 /// Standard error on a full disk: the failures of the database cannot be logged, and the service
-/// serves again after them.
+/// serves again after them. While the server is frozen, the readiness says so soon.
 #[cfg(target_os = "linux")]
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_log_that_cannot_be_written_stops_nothing() {
@@ -145,6 +145,14 @@ async fn a_log_that_cannot_be_written_stops_nothing() {
         let passes = Instant::now();
         ready(200).await;
         assert!(passes.elapsed() < SERVED_WITHIN, "ready after {:?}", passes.elapsed());
+        // Those who ask wait for some seconds.
+        proxy.set(Mode::Frozen);
+        let frozen = Instant::now();
+        let (status, answer) = get_with(server.port, "/readyz", "").unwrap();
+        assert_eq!(status, 503, "{answer}");
+        assert!(frozen.elapsed() < Duration::from_secs(4), "answered {:?}", frozen.elapsed());
+        proxy.set(Mode::Pass);
+        ready(200).await;
     })
     .await;
 }

@@ -308,6 +308,10 @@ impl ServiceConfiguration {
         if let Some(name) = self.jobs.zero() {
             return Err(ServiceConfigurationError::ZeroJobLimit(name));
         }
+        if self.jobs.folder.as_ref().is_some_and(|folder| folder.as_os_str().is_empty()) {
+            let why = "jobs.folder is empty: name a folder, or leave it out";
+            return Err(ServiceConfigurationError::Malformed(why.to_owned()));
+        }
         let wrong = self.jobs.s3.as_ref().and_then(S3Configuration::wrong);
         if let Some(wrong) = wrong.or_else(|| self.dashboard.wrong()) {
             return Err(ServiceConfigurationError::Malformed(wrong.to_owned()));
@@ -487,6 +491,8 @@ mod tests {
         assert!(head.contains("limits.head_s must be at most 3153600000"), "{head}");
         let mailbox = refused(|configuration| configuration.limits.mailbox_epochs = usize::MAX);
         assert!(mailbox.contains("limits.mailbox_epochs must be at most 4294967296"), "{mailbox}");
+        let folder = refused(|configuration| configuration.jobs.folder = Some("".into()));
+        assert!(folder.contains("jobs.folder is empty"), "{folder}");
         let running = refused(|configuration| configuration.jobs.running = usize::MAX);
         assert!(running.contains("jobs.running must be at most 1024"), "{running}");
     }

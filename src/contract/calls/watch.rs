@@ -29,7 +29,8 @@ const KEEPALIVE: Duration = Duration::from_secs(15);
 /// Watches the solutions of a session. The first message is empty and is sent at once.
 ///
 /// # Errors
-/// The session does not exist, the cursor is invalid, or the limit of open watches is reached.
+/// The session does not exist, the cursor is invalid or beyond what is stored, as after a restore
+/// from a backup, or the limit of open watches is reached.
 pub async fn watch(
     caller: &Caller,
     request: v1::WatchSolutionsRequest,
@@ -55,6 +56,11 @@ pub async fn watch(
     Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
     let (watch, now) = caller.sessions().watch(&id).await?;
     let cursor = start.unwrap_or(now);
+    if !request.cursor.is_empty() && now.answers < cursor.answers {
+        let (through, last) = (cursor.answers, now.answers);
+        let message = format!("the cursor is of solution {through}, and the last one is {last}");
+        return Err(Refusal::new(Code::CursorInvalid, message).at("cursor"));
+    }
     let (outlet, reader) = outlet(caller);
     let (caller, oldest_available) = (caller.clone(), None);
     let output = OutputOptions::as_computed();

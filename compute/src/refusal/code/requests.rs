@@ -231,9 +231,10 @@ macro_rules! requests {
     /// The reader of a watch takes its messages too slowly.
     WatchTooSlow = "WATCH_TOO_SLOW", Exhausted,
         "watch again with the cursor of the last received message; nothing is missed";
-    /// The cursor does not come from a watch.
+    /// The cursor does not come from a watch of this session, or is beyond what is stored.
     CursorInvalid = "CURSOR_INVALID", Malformed,
-        "send the cursor of the last received message, unchanged";
+        "send the cursor of the last received message, unchanged; if the database was restored \
+         from a backup, watch with afterSeq";
     /// The device has acknowledgements that the session has not given.
     AcknowledgementUnknown = "ACKNOWLEDGEMENT_UNKNOWN", Precondition,
         "check the session's id; if the database was restored from a backup, open the stream \
