@@ -6,6 +6,7 @@ use crate::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion, 
 use crate::gnss::{Ecef, Epoch, GpsTime};
 
 use super::observations::{ObservationFile, ReportedSite, observations};
+use super::span::Span;
 use super::{Input, Recording, RecordingError, RecordingInputs};
 
 /// The rover's observations of a recording on their way into a RINEX 3.05 file.
@@ -14,6 +15,7 @@ use super::{Input, Recording, RecordingError, RecordingInputs};
 /// header, then for the epochs.
 pub struct ObservationExport<'a, W: Write> {
     inputs: &'a RecordingInputs,
+    span: Span,
     header: ObservationHeader,
     /// Reads for the header.
     surveyed: Option<ObservationFile>,
@@ -68,6 +70,7 @@ impl<'a> Recording<'a> {
         header.add_channels(self.navigation());
         Ok(ObservationExport {
             inputs,
+            span: inputs.span(),
             header,
             surveyed: Some(surveyed),
             written: open()?,
@@ -109,7 +112,7 @@ impl<W: Write> ObservationExport<'_, W> {
                 None => Ok(false),
             };
         }
-        if self.inputs.is_outside(self.epoch.time) {
+        if !self.span.contains(self.epoch.time) {
             return Ok(true);
         }
         match &mut self.target {

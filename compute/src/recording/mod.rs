@@ -26,6 +26,7 @@ mod odometry;
 mod provenance;
 mod reading;
 mod solutions;
+mod span;
 mod survey;
 mod writing;
 

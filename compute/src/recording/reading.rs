@@ -4,7 +4,7 @@ use crate::config::PositioningOptions;
 use crate::formats::observations::GzipDamage;
 use crate::formats::receiver::TimeReference;
 use crate::formats::{antex, odometry};
-use crate::gnss::{Epoch, GpsTime, Navigation};
+use crate::gnss::{Epoch, Navigation};
 use crate::positioning::Aiding;
 
 use super::antenna::ReceiverAntenna;
@@ -12,6 +12,7 @@ use super::base::BaseRecording;
 use super::navigation::{Dating, LeftOutOf, NavigationFiles};
 use super::observations::{ObservationFile, ReportedSite, observations};
 use super::odometry::OdometryRows;
+use super::span::Span;
 use super::{AnswerKind, ApproximatePosition, BasePosition, Input, Provenance, RecordingError};
 
 /// The files of a recording and how to read them.
@@ -31,9 +32,11 @@ pub struct RecordingInputs {
     pub odometry: Option<Input>,
     /// Dates receiver data that have no GPS week.
     pub reference: Option<TimeReference>,
-    /// First epoch, GPS seconds of week; `None`: the file's first.
+    /// First epoch, GPS seconds of week; `None`: the file's first. A smaller second than that of
+    /// the file's first epoch may be of the next week.
     pub from_s: Option<f64>,
-    /// Last epoch, GPS seconds of week; `None`: the file's last.
+    /// Last epoch, GPS seconds of week; `None`: the file's last. A smaller second than the first
+    /// one may be of the next week.
     pub to_s: Option<f64>,
 }
 
@@ -75,15 +78,15 @@ impl RecordingInputs {
         checked.map_err(|refusal| RecordingError::FrameUnavailable { refusal })
     }
 
-    pub(super) fn is_outside(&self, time: GpsTime) -> bool {
-        let seconds = time.seconds_of_week();
-        self.from_s.is_some_and(|from| seconds < from) || self.to_s.is_some_and(|to| to < seconds)
+    pub(super) const fn span(&self) -> Span {
+        Span::new(self.from_s, self.to_s)
     }
 }
 
 /// A recording that is being read, epoch by epoch.
 pub struct Recording<'a> {
     inputs: &'a RecordingInputs,
+    span: Span,
     navigation: Navigation,
     dating: Dating,
     left_out: LeftOutOf<'a>,
@@ -106,8 +109,9 @@ impl<'a> Recording<'a> {
         let rover = observations(&inputs.rover, &dating, &navigation)?;
         let base = open_base(inputs, &dating, &navigation)?;
         let odometry = inputs.odometry.as_ref().map(read_odometry).transpose()?;
+        let (span, antenna) = (inputs.span(), None);
         let mut recording =
-            Self { inputs, navigation, dating, left_out, rover, base, antenna: None, odometry };
+            Self { inputs, span, navigation, dating, left_out, rover, base, antenna, odometry };
         recording.find_antennas()?;
         Ok(recording)
     }
@@ -145,7 +149,7 @@ impl<'a> Recording<'a> {
             }
             // Also for epochs outside the span, so that their rows are not assigned to later ones.
             epoch.odometry = self.odometry.as_mut().and_then(|rows| rows.at(epoch.time));
-            if self.inputs.is_outside(epoch.time) {
+            if !self.span.contains(epoch.time) {
                 continue;
             }
             if let Some((antenna, position)) = &mut self.antenna {
