@@ -5,8 +5,8 @@
 //! `sdNorthM`, `sdUpM`, and, where known, `speedMS`, the protection levels `horizontalProtectionM`
 //! and `verticalProtectionM` (m), `reasons`, and where a session asks for them `frame`,
 //! `frameEpochYear` and `orthometricHeightM`, the height above the geoid (m). The track ends where
-//! an epoch has no position, and after [`POINTS_PER_LINE`] points, so that writing needs little
-//! memory.
+//! an epoch has no position, where it crosses the antimeridian (RFC 7946, 3.1.9), and after
+//! [`POINTS_PER_LINE`] points, so that writing needs little memory.
 //!
 //! A stored solution also has `seq` and `revision`. Each listed revision of an epoch is a point;
 //! the track goes through the first of them.
@@ -54,6 +54,16 @@ impl Collection {
         self.points_of_track += 1;
     }
 
+    /// Whether the line to this position would go around the Earth: the longitude changes by more
+    /// than 180°.
+    fn would_cross_antimeridian(&self, estimate: &SolutionEstimate) -> bool {
+        let last = self.track.iter().rposition(|byte| *byte == b'[').map(|at| at + 1);
+        let longitude = last.and_then(|at| self.track[at..].split(|byte| *byte == b',').next());
+        let longitude = longitude.and_then(|text| std::str::from_utf8(text).ok()?.parse().ok());
+        let now_deg = estimate.position.to_geodetic().longitude_rad.to_degrees();
+        longitude.is_some_and(|last_deg: f64| 180.0 < (now_deg - last_deg).abs())
+    }
+
     /// Writes the current line of the track; the next one begins at its last point if `continued`.
     fn end_track(&mut self, continued: bool, out: &mut Vec<u8>) {
         if 2 <= self.points_of_track {
@@ -82,6 +92,9 @@ impl Encoder for Collection {
         let Some(estimate) = &solution.estimate else {
             return self.end_track(false, out);
         };
+        if !is_repeated && self.would_cross_antimeridian(estimate) {
+            self.end_track(false, out);
+        }
         self.begin_feature("Point", out);
         let start = out.len();
         push_coordinates(out, estimate);
@@ -265,6 +278,21 @@ mod tests {
         let all = features(&[solution(0), solution(1), gap, solution(3), solution(4), solution(5)]);
         assert_eq!(lines(&all), [2, 3]);
         assert_eq!(all.len(), 5 + 2);
+    }
+
+    /// A ship to the east, over 180°.
+    #[test]
+    fn the_track_is_cut_at_the_antimeridian() {
+        let at = |index: usize, longitude_deg: f64| {
+            let mut moved = solution(index);
+            let position = Geodetic::from_degrees(10.0, longitude_deg, 5.0).to_ecef();
+            moved.estimate.as_mut().unwrap().position = position;
+            moved
+        };
+        let longitudes = [179.97, 179.98, 179.99, -179.99, -179.98];
+        let ship: Vec<_> = longitudes.iter().enumerate().map(|(i, deg)| at(i, *deg)).collect();
+        let all = features(&ship);
+        assert_eq!((lines(&all), all.len()), (vec![3, 2], 5 + 2));
     }
 
     #[test]

@@ -33,4 +33,4 @@ pub(crate) use group_delay::{UNSTATED_DELAY_M, unstated_delay_m};
 pub use satellite::{SatelliteState, satellite_state, state_at_transmission};
 pub(crate) use selection::{closest_ephemerides, ephemerides_in_force, select_ephemeris_within};
 pub use selection::{is_usable, select_ephemeris, validity_s};
-pub(crate) use weights::usual_accuracy_m;
+pub(crate) use weights::normal_operation_m;

@@ -150,14 +150,18 @@ const UNSTATED_GLONASS_M: f64 = 5.0;
 /// SISA of index 107 (m), which Galileo broadcasts for its satellites in normal operation.
 const USUAL_SISA_M: f64 = 3.12;
 
-/// The largest accuracy that messages of satellites in normal operation state (m); it is a bound of
-/// the error. In the navigation files of docs/accuracy.md nearly all satellites have a URA index of
-/// 0 to 2, and those of Galileo this SISA or a smaller one.
-pub(crate) const fn usual_accuracy_m(constellation: Constellation) -> f64 {
+/// Largest accuracy that messages of satellites in normal operation state, and the range error of
+/// orbit and clock that these have (m).
+///
+/// In the navigation files of docs/accuracy.md nearly all satellites have a URA index of 0 to 2, and
+/// those of Galileo a SISA of at most 3.12 m. Errors: Montenbruck, Steigenberger & Hauschild (2018),
+/// *Multi-GNSS signal-in-space range error assessment*, Adv. Space Res. 61.
+pub(crate) const fn normal_operation_m(constellation: Constellation) -> (f64, f64) {
     match constellation {
-        Constellation::Gps | Constellation::Qzss | Constellation::BeiDou => URA_BOUNDS_M[2],
-        Constellation::Galileo => USUAL_SISA_M,
-        Constellation::Glonass => UNSTATED_GLONASS_M,
+        Constellation::Gps | Constellation::Qzss => (URA_BOUNDS_M[2], 0.6),
+        Constellation::BeiDou => (URA_BOUNDS_M[2], 1.0),
+        Constellation::Galileo => (USUAL_SISA_M, 0.2),
+        Constellation::Glonass => (UNSTATED_GLONASS_M, 2.0),
     }
 }
 

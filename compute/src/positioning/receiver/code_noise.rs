@@ -15,13 +15,13 @@
 //! receiver (docs/estimation.md). i is a standard deviation of three parts. One is that of the
 //! ionosphere's model beyond the smallest one of the epoch, because a common error goes into the
 //! clock. Another is that of a group delay that the message does not contain. The third is zero
-//! for the accuracy that messages usually state: the floor covers it. Beyond that, the floor grows
-//! in proportion to the stated accuracy.
+//! for the accuracy that messages state in normal operation: the floor covers it. Beyond that, the
+//! error of orbit and clock in normal operation grows in proportion to the stated accuracy.
 
 use std::f64::consts::LN_10;
 
 use crate::gnss::{Constellation, SatelliteId};
-use crate::models::usual_accuracy_m;
+use crate::models::normal_operation_m;
 use crate::positioning::Measurement;
 use crate::snapshot::snapshot_fields;
 
@@ -79,11 +79,12 @@ impl Signal {
     }
 }
 
-/// Variance of orbit and clock beyond the floor (m²), by the accuracy that the message states.
+/// Variance of orbit and clock beyond the floor (m²): their error in normal operation grows in
+/// proportion to the accuracy that the message states.
 fn unusual_m2(measurement: &Measurement) -> f64 {
-    let usual_m = usual_accuracy_m(measurement.satellite.constellation);
-    let ratio = measurement.state.variance_m2 / (usual_m * usual_m);
-    FLOOR_M * FLOOR_M * (ratio - 1.0).max(0.0)
+    let (usual_m, error_m) = normal_operation_m(measurement.satellite.constellation);
+    let ratio_2 = measurement.state.variance_m2 / (usual_m * usual_m);
+    error_m * error_m * (ratio_2 - 1.0).max(0.0)
 }
 
 /// Standard deviation of the ionosphere's model that all satellites share (m): this part of the
