@@ -210,3 +210,43 @@ fn a_base_of_rinex_has_the_antenna_height_that_its_file_states_last() {
         assert!(10 < after.len() && after.iter().all(is_raised), "{after:?}");
     }
 }
+
+/// The first epoch of a base has five satellites, whose pseudoranges are a kilometre off: the base
+/// is accepted by the next epochs.
+#[test]
+fn a_wild_epoch_does_not_refuse_a_base_for_ever() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let scenario = ["simulate", "--scenario", "rtk-open", "--seed", "1", "--duration", "120"];
+    let (done, _, error) = run(folder, &[&scenario[..], &["--output", "."]].concat());
+    assert!(done, "{error}");
+    let sound = fs::read_to_string(folder.join("base.obs")).unwrap();
+    let (mut epochs, mut satellites) = (0, 0);
+    let wild = |line: &str| -> String {
+        epochs += usize::from(line.starts_with('>'));
+        match (epochs, line.starts_with('>')) {
+            (1, true) => format!("{}{:3}\n", &line[..32], 5),
+            (1, false) => {
+                // The first number of a record is a pseudorange.
+                satellites += 1;
+                let range_m: f64 = line[3..17].trim().parse().unwrap();
+                let off_m = if satellites % 2 == 0 { 1000.0 } else { -1000.0 };
+                let moved = format!("{}{:14.3}{}\n", &line[..3], range_m + off_m, &line[17..]);
+                if satellites <= 5 { moved } else { String::new() }
+            }
+            _ => format!("{line}\n"),
+        }
+    };
+    let wild: String = sound.lines().map(wild).collect();
+    fs::write(folder.join("wild.obs"), wild).unwrap();
+    let fixed = ["solve", "--rover", "rover.obs", "--nav", "navigation.rnx", "--mode", "rtk-fgo"];
+    let fixes = |base: &str| {
+        let to = ["--base", base, "--output", "out.csv"];
+        let (done, _, error) = run(folder, &[&fixed[..], &to].concat());
+        assert!(done, "{error}");
+        let rows = fs::read_to_string(folder.join("out.csv")).unwrap();
+        rows.lines().filter(|row| row.split(',').nth(2) == Some("FIXED")).count()
+    };
+    let (sound, wild) = (fixes("base.obs"), fixes("wild.obs"));
+    assert!(100 < sound && sound < wild + 20, "{sound} and {wild}");
+}

@@ -153,9 +153,9 @@ const USUAL_SISA_M: f64 = 3.12;
 /// Largest accuracy that messages of satellites in normal operation state, and the range error of
 /// orbit and clock that these have (m).
 ///
-/// In the navigation files of docs/accuracy.md nearly all satellites have a URA index of 0 to 2, and
-/// those of Galileo a SISA of at most 3.12 m. Errors: Montenbruck, Steigenberger & Hauschild (2018),
-/// *Multi-GNSS signal-in-space range error assessment*, Adv. Space Res. 61.
+/// In the navigation files of docs/accuracy.md nearly all satellites have a URA index of 0 to 2,
+/// and those of Galileo a SISA of at most 3.12 m. Errors: Montenbruck, Steigenberger & Hauschild
+/// (2018), *Multi-GNSS signal-in-space range error assessment*, Adv. Space Res. 61.
 pub(crate) const fn normal_operation_m(constellation: Constellation) -> (f64, f64) {
     match constellation {
         Constellation::Gps | Constellation::Qzss => (URA_BOUNDS_M[2], 0.6),

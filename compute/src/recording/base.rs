@@ -16,6 +16,10 @@ use super::navigation::Dating;
 use super::observations::{ObservationFile, ReportedSite, observations};
 use super::{AntennaProvenance, BaseProvenance, Input, RecordingError};
 
+/// Most epochs between two of the rover (a day's base may have a minute's rover). Beyond them the
+/// earlier ones are left out, and all phases count as lost.
+const EPOCHS_MAX: usize = 1200;
+
 /// The required source of a base's position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum BasePosition {
@@ -132,6 +136,10 @@ impl<'a> BaseRecording<'a> {
                 self.station.antenna_reference_point = point;
                 self.moves += 1;
             }
+            if self.count == EPOCHS_MAX {
+                self.count = 0;
+                epoch.power_failure = true;
+            }
             match self.epochs.get_mut(self.count) {
                 Some(spare) => std::mem::swap(spare, &mut epoch),
                 None => self.epochs.push(epoch),
@@ -227,4 +235,38 @@ fn mean_position(
         }
     }
     Ok(((0 < count).then(|| Ecef(sum_m / count as f64)), count))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::formats::rinex::{ObservationHeader, ObservationWriter, RinexVersion};
+    use crate::gnss::{Constellation, Observation, ObservationCode};
+
+    /// Of a long time before the rover's first epoch only the last part is kept, after which all
+    /// phases count as lost.
+    #[test]
+    fn the_epochs_between_two_of_the_rover_are_bounded() {
+        let code = ObservationCode::parse("1C").unwrap();
+        let mut header = ObservationHeader::new(RinexVersion::new(3, 5));
+        header.codes[Constellation::Gps.index()] = vec![code];
+        let mut writer = ObservationWriter::new(Vec::new(), &header).unwrap();
+        let at = |second: usize| GpsTime::from_week_seconds(2200, second as f64);
+        for second in 0..EPOCHS_MAX + 100 {
+            let mut observation = Observation::empty("G05".parse().unwrap(), code);
+            observation.pseudorange_m = Some(22e6);
+            let observations = vec![observation];
+            writer.write_epoch(&Epoch { observations, ..Epoch::new(at(second)) }).unwrap();
+        }
+        let input = Input::from_bytes("base".to_owned(), writer.finish().unwrap().into());
+        let place = Some(BasePosition::Marker(Ecef::new(6_378_137.0, 0.0, 0.0)));
+        let navigation = Navigation::default();
+        let dating = Dating::new(None);
+        let mut base = BaseRecording::open(&input, place, &dating, &navigation).unwrap();
+        base.follow(at(EPOCHS_MAX + 99), &navigation).unwrap();
+        let kept = base.aiding().epochs;
+        assert_eq!((kept.len(), kept[0].time), (100, at(EPOCHS_MAX)));
+        assert!(kept[0].power_failure && !kept[1].power_failure);
+        assert!(base.epochs.len() <= EPOCHS_MAX);
+    }
 }

@@ -3,7 +3,8 @@
 use crate::formats::odometry::OdometryRow;
 use crate::gnss::{GpsTime, Odometry};
 
-/// Largest difference between the times of a row and of its epoch (s).
+/// Largest difference between the times of a row and of its epoch (s), and at most half of the
+/// row's duration.
 const NEAR_S: f64 = 0.05;
 
 /// Rows that are assigned to epochs in the order of time.
@@ -31,7 +32,10 @@ impl OdometryRows {
         {
             self.next += 1;
         }
-        let near = self.rows.get(self.next).filter(|row| (row.time - time).abs() <= NEAR_S)?;
+        let near = self
+            .rows
+            .get(self.next)
+            .filter(|row| (row.time - time).abs() <= NEAR_S.min(row.odometry.interval_s / 2.0))?;
         self.next += 1;
         self.matched += 1;
         Some(near.odometry)

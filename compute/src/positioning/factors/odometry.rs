@@ -8,8 +8,10 @@ use crate::snapshot::snapshot_fields;
 
 use super::State;
 
-/// Largest difference between the duration of a displacement and the interval of the epochs (s).
+/// Largest difference between the duration of a displacement and the interval of the epochs: this
+/// (s), and this part of the interval. A sensor at 50 Hz has another duration than epochs at 25 Hz.
 const INTERVAL_TOLERANCE_S: f64 = 0.05;
+const INTERVAL_TOLERANCE: f64 = 0.1;
 
 /// Odometry factor between two states, three rows.
 ///
@@ -37,7 +39,8 @@ impl OdometryFactor {
         place: Ecef,
         odometry: &Odometry,
     ) -> Option<Self> {
-        if INTERVAL_TOLERANCE_S < (odometry.interval_s - interval_s).abs() {
+        let tolerance_s = INTERVAL_TOLERANCE_S.min(INTERVAL_TOLERANCE * interval_s);
+        if tolerance_s < (odometry.interval_s - interval_s).abs() {
             return None;
         }
         let axes = match odometry.frame {
@@ -118,6 +121,21 @@ mod tests {
         assert!((north - Vector3::new(95.0, -55.0, 0.2)).norm() < 1e-9, "{north}");
         let enu = Odometry { frame: OdometryFrame::Enu, ..body(0.0, 0.0) };
         assert!((residuals(&enu) - Vector3::new(2.5, -40.0, 0.2)).norm() < 1e-9);
+    }
+
+    /// A sensor at 50 Hz beside epochs at 50, 25 and 16.7 Hz.
+    #[test]
+    fn a_displacement_of_another_duration_is_none() {
+        let odometry = Odometry { interval_s: 0.02, ..body(0.0, 0.0) };
+        let fits = |interval_s| {
+            OdometryFactor::over(interval_s, &frame(), frame().origin, &odometry).is_some()
+        };
+        assert_eq!([0.02, 0.021, 0.04, 0.06].map(fits), [true, true, false, false]);
+        let slow = body(0.0, 0.0);
+        let fits = |interval_s| {
+            OdometryFactor::over(interval_s, &frame(), frame().origin, &slow).is_some()
+        };
+        assert_eq!([1.04, 1.06].map(fits), [true, false]);
     }
 
     /// The same displacement along the Earth's axes gives the same sum of squares.

@@ -1,12 +1,12 @@
 //! What is kept of the base between epochs of the rover.
 
-use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime};
-use crate::positioning::BasePositionCheck;
+use crate::gnss::{BaseStation, Ecef, Epoch, GpsTime, Reason};
 use crate::positioning::aiding::BASE_LATER_S;
 use crate::positioning::aiding::BASE_MOVED_M;
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::measurements::ReceiverBands;
 use crate::positioning::spp::SinglePoint;
+use crate::positioning::{BasePositionCheck, BasePositionVerdict};
 use crate::snapshot::state_fields;
 
 use super::losses::{LockWatch, Tracked};
@@ -65,7 +65,8 @@ impl BaseMemory {
     }
 
     /// Checks the stated position against the single-point positions of the base. The newest epoch
-    /// enters their mean, until the mean has enough epochs.
+    /// enters their mean, until the mean has enough epochs and agrees: one wild epoch must not
+    /// refuse a base for ever. A single point whose residuals are too large is left out.
     pub(crate) fn checked(
         &mut self,
         station: &BaseStation,
@@ -75,13 +76,14 @@ impl BaseMemory {
         let stated = station.antenna_reference_point;
         let known = self.check.filter(|(position, _)| *position == stated);
         let mut check = known.map_or_else(BasePositionCheck::new, |(_, check)| check);
-        if !check.is_done()
-            && let Some(newest) = &self.newest
-        {
+        let is_open = !check.is_done() || check.verdict() != BasePositionVerdict::Agrees;
+        if is_open && let Some(newest) = &self.newest {
             let bands = ReceiverBands::of(newest);
             let of_base = EpochInputs { epoch: newest, bands, ..*inputs };
             let alone = single_point.solve(&of_base, Some(stated));
-            if let Some(estimate) = alone.estimate {
+            let is_wild = |reason: &Reason| matches!(reason, Reason::ResidualsTooLarge { .. });
+            let sound = alone.estimate.filter(|_| !alone.reasons.iter().any(is_wild));
+            if let Some(estimate) = sound {
                 check.add(stated, estimate.position);
             }
         }

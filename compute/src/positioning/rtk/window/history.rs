@@ -44,6 +44,8 @@ pub(crate) struct FactoredWindow<'a> {
     pub(crate) frame: &'a LocalFrame,
     pub(crate) smoother: &'a mut Smoother<STATE>,
     pub(crate) resolver: &'a mut Resolver,
+    /// Factor on the variance of a position without integers.
+    pub(crate) float_factor: f64,
 }
 
 impl History {
@@ -102,7 +104,8 @@ impl History {
         window: FactoredWindow<'_>,
         options: &RtkOptions,
     ) {
-        let FactoredWindow { elimination, estimate, frame, smoother, resolver } = window;
+        let FactoredWindow { elimination, estimate, frame, smoother, resolver, float_factor } =
+            window;
         self.revised = self.revised.max(epochs.end);
         smoother.begin(elimination, estimate);
         let mut gone = self.departures.iter().rev();
@@ -118,7 +121,7 @@ impl History {
                 return;
             }
             if epochs.contains(&index) {
-                let revision = Revision::at(smoother, frame, options);
+                let revision = Revision::at(smoother, frame, options, float_factor);
                 *record = Arc::new(revision.of(record, &self.integers, resolver));
             }
         }

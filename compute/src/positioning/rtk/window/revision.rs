@@ -23,6 +23,8 @@ pub(crate) struct Revision<'a> {
     /// Local (m/s), with covariance.
     velocity: Velocity,
     options: &'a RtkOptions,
+    /// Factor on the variance of a position without integers.
+    float_factor: f64,
 }
 
 impl<'a> Revision<'a> {
@@ -31,6 +33,7 @@ impl<'a> Revision<'a> {
         smoother: &Smoother<STATE>,
         frame: &'a LocalFrame,
         options: &'a RtkOptions,
+        float_factor: f64,
     ) -> Self {
         let (state, covariances) = (smoother.state(), smoother.covariances());
         let velocity_covariance =
@@ -44,6 +47,7 @@ impl<'a> Revision<'a> {
                 clock_drift_m_s: 0.0,
             },
             options,
+            float_factor,
         }
     }
 
@@ -111,7 +115,7 @@ impl<'a> Revision<'a> {
         if is_by_companion(&record.solution) {
             return record.solution.clone();
         }
-        let covariance = self.float.covariance.fixed_view::<3, 3>(0, 0).into_owned();
+        let covariance = self.float.covariance.fixed_view::<3, 3>(0, 0) * self.float_factor;
         let mut solution = self.moved(record, &self.float.position, &covariance);
         if solution.status == Status::Fixed {
             solution.reasons.push(Reason::FixRejected);

@@ -244,7 +244,9 @@ impl Chain {
         {
             let Self { estimate, frame, .. } = self;
             let (elimination, resolver) = (&workspace.elimination, &mut search.resolver);
-            let window = FactoredWindow { elimination, estimate, frame, smoother, resolver };
+            let float_factor = self.tracking.receivers.pseudorange_noise.variance_factor();
+            let window =
+                FactoredWindow { elimination, estimate, frame, smoother, resolver, float_factor };
             history.revise(epochs, window, &setup.options.rtk);
         }
     }
