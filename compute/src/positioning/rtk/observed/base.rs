@@ -65,8 +65,9 @@ impl BaseMemory {
     }
 
     /// Checks the stated position against the single-point positions of the base. The newest epoch
-    /// enters their mean, until the mean has enough epochs and agrees: one wild epoch must not
-    /// refuse a base for ever. A single point whose residuals are too large is left out.
+    /// enters their mean, until the mean has enough epochs. If it then refuses the position, the
+    /// next epoch begins another mean, since one wild epoch must not refuse a base for ever. A
+    /// single point whose residuals are too large is left out.
     pub(crate) fn checked(
         &mut self,
         station: &BaseStation,
@@ -76,14 +77,17 @@ impl BaseMemory {
         let stated = station.antenna_reference_point;
         let known = self.check.filter(|(position, _)| *position == stated);
         let mut check = known.map_or_else(BasePositionCheck::new, |(_, check)| check);
-        let is_open = !check.is_done() || check.verdict() != BasePositionVerdict::Agrees;
-        if is_open && let Some(newest) = &self.newest {
+        let is_refused = check.is_done() && check.verdict() == BasePositionVerdict::Refused;
+        if (is_refused || !check.is_done())
+            && let Some(newest) = &self.newest
+        {
             let bands = ReceiverBands::of(newest);
             let of_base = EpochInputs { epoch: newest, bands, ..*inputs };
             let alone = single_point.solve(&of_base, Some(stated));
             let is_wild = |reason: &Reason| matches!(reason, Reason::ResidualsTooLarge { .. });
             let sound = alone.estimate.filter(|_| !alone.reasons.iter().any(is_wild));
             if let Some(estimate) = sound {
+                check = if is_refused { BasePositionCheck::new() } else { check };
                 check.add(stated, estimate.position);
             }
         }
