@@ -65,6 +65,7 @@ async fn epochs_stages_commits_and_requests_are_counted() {
         ("graphfix_commit_epochs_sum", 2.0),
         ("graphfix_requests_total{door=\"rest\",outcome=\"refused\"}", 1.0),
         ("graphfix_requests_total{door=\"rest\",outcome=\"failed\"}", 0.0),
+        ("graphfix_failures_total", 0.0),
         ("graphfix_restores_total", 0.0), // There was nothing to load.
         ("graphfix_sessions_in_memory", 1.0),
     ] {

@@ -83,3 +83,15 @@ pub(in crate::formats::rinex) fn accuracy_index(metres: f64) -> f64 {
     GLONASS_ACCURACY_M.iter().position(|step| metres <= *step).unwrap_or(GLONASS_ACCURACY_M.len())
         as f64
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// −7 is written as 249 by programs that write bytes without a sign.
+    #[test]
+    fn frequency_numbers_may_be_bytes_without_a_sign() {
+        let channels = [249.0, 255.0, 0.0, 6.0, 13.0].map(|number| wrapped(number, 128.0, 256.0));
+        assert_eq!(channels, [-7.0, -1.0, 0.0, 6.0, 13.0]);
+    }
+}
