@@ -54,7 +54,7 @@ fn wrapped(number: f64, limit: f64, modulus: f64) -> f64 {
     if number < limit { number } else { number - modulus }
 }
 
-/// The acceleration; blank is zero (RINEX 2.11, 6.8).
+/// The acceleration; blank is zero: a program that does not know it leaves it out.
 fn acceleration_m_s2(record: &Record) -> Option<Vector3<f64>> {
     let in_km = [record.or_zero(1, 2)?, record.or_zero(2, 2)?, record.or_zero(3, 2)?];
     Some(Vector3::from(in_km) * METRES_PER_KM)
