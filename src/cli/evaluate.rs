@@ -39,7 +39,7 @@ pub(crate) struct EvaluateArguments {
     /// First second of week to evaluate (s).
     #[arg(long, value_name = "TOW", alias = "start")]
     from: Option<f64>,
-    /// Last second of week to evaluate (s).
+    /// Last second of week to evaluate (s). One before the first is of the next week.
     #[arg(long, value_name = "TOW", alias = "end")]
     to: Option<f64>,
     /// Rover observations (RINEX, UBX or GnssLogger log): their epochs are the expected ones.

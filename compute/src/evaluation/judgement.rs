@@ -35,7 +35,8 @@ pub enum Expected {
 /// What is judged, and the limits.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Criteria {
-    /// First and last second of week in the window (s).
+    /// First and last second of week in the window (s). A window whose last second is before its
+    /// first one crosses the end of the week.
     pub window_tow_s: (f64, f64),
     /// Largest time difference to the nearest reference row, where interpolation is impossible (s).
     pub tolerance_s: f64,
@@ -69,9 +70,10 @@ impl Criteria {
     }
 
     fn covers(&self, time: GpsTime) -> bool {
-        let tow_s = time.seconds_of_week();
-        self.window_tow_s.0 - WINDOW_SLACK_S <= tow_s
-            && tow_s <= self.window_tow_s.1 + WINDOW_SLACK_S
+        let (tow_s, (from_s, to_s)) = (time.seconds_of_week(), self.window_tow_s);
+        let is_after = from_s - WINDOW_SLACK_S <= tow_s;
+        let is_before = tow_s <= to_s + WINDOW_SLACK_S;
+        if from_s <= to_s { is_after && is_before } else { is_after || is_before }
     }
 }
 
@@ -237,6 +239,17 @@ mod tests {
         let report = static_report(&rows, &criteria);
         assert_eq!((report.expected, report.matched), (1, 1));
         assert!((report.errors.unwrap().err2d.mean - 2.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn a_window_may_cross_the_end_of_the_week() {
+        let seconds = [604_000.0, 604_500.0, 604_799.0, 604_800.0, 604_900.0, 605_300.0];
+        let rows = seconds.map(|seconds| row(seconds, 5, [0.0; 3]));
+        let window_tow_s = (604_500.0, 100.0);
+        let criteria = Criteria { window_tow_s, ..Criteria::whole_file() };
+        let judged = judge(&rows, Truth::Static(PLACE), &criteria);
+        let inside: Vec<GpsTime> = judged.epochs.iter().map(|epoch| epoch.time).collect();
+        assert_eq!(inside, rows[1..5].iter().map(|row| row.time).collect::<Vec<_>>());
     }
 
     #[test]

@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 use super::plot::PlotError;
 use super::{Criteria, Expected, Judgement, Truth, judge};
 use crate::formats::pos::PosRow;
+use crate::gnss::constants::SECONDS_PER_WEEK;
 use crate::gnss::{GpsTime, Solution, Status};
 
 /// The answers of one estimator to a recording.
@@ -89,16 +90,15 @@ impl Comparison {
             methods.iter().flat_map(|m| &m.solutions).map(|solution| solution.time).collect();
         times.sort_unstable();
         times.dedup();
-        let span = |time: Option<&GpsTime>| time.map_or(0.0, |time| time.seconds_of_week());
-        let window_tow_s = (span(times.first()), span(times.last()));
-        let is_one_week = times.first().map(|t| t.week()) == times.last().map(|t| t.week());
+        let ends = times.first().copied().zip(times.last().copied());
         let mut criteria = Criteria {
             expected: Expected::RoverEpochs(times),
             fix_tolerance_m,
             ..Criteria::whole_file()
         };
-        if is_one_week {
-            criteria.window_tow_s = window_tow_s;
+        if let Some((first, last)) = ends.filter(|(first, last)| *last - *first < SECONDS_PER_WEEK)
+        {
+            criteria.window_tow_s = (first.seconds_of_week(), last.seconds_of_week());
         }
         let judged = |truth: &Truth| {
             let rows = |method: &Method| -> Vec<PosRow> {
