@@ -225,6 +225,7 @@ impl Source for SessionEpochs<'_> {
             base: base.map(BaseRecording::provenance),
             is_base_unused: false,
             antennas: Vec::new(),
+            out_of_time: 0,
             unmatched_odometry: None,
             left_out: left_out.map(|(name, left_out)| (name.to_owned(), left_out)).collect(),
         }

@@ -14,6 +14,7 @@ use crate::positioning::{Aiding, BASE_LATER_S, BASE_MOVED_M, BaseAiding, Estimat
 use super::antenna::ReceiverAntenna;
 use super::navigation::Dating;
 use super::observations::{ObservationFile, ReportedSite, observations};
+use super::order::EpochOrder;
 use super::{AntennaProvenance, BaseProvenance, Input, RecordingError};
 
 /// Most epochs between two of the rover (a day's base may have a minute's rover). Beyond them the
@@ -38,6 +39,8 @@ pub struct BaseRecording<'a> {
     averaged: u64,
     antenna: Option<ReceiverAntenna>,
     reader: ObservationFile,
+    /// Epochs with the antenna reference point at their time.
+    order: EpochOrder<Ecef>,
     /// Number of times that messages or header records moved it.
     moves: u64,
     /// An epoch that is later than the rover's, with the antenna reference point at its time.
@@ -96,6 +99,7 @@ impl<'a> BaseRecording<'a> {
             averaged,
             antenna: None,
             reader,
+            order: EpochOrder::default(),
             moves: 0,
             ahead: None,
             epochs: Vec::new(),
@@ -161,33 +165,17 @@ impl<'a> BaseRecording<'a> {
         let empty = || Epoch::new(rover);
         let spare = self.epochs.get_mut(self.count);
         let mut epoch = spare.map_or_else(empty, |spare| std::mem::replace(spare, empty()));
-        let is_read = self.reader.read_epoch(&mut epoch);
-        if !is_read.map_err(|error| self.input.damaged(&error))? {
-            return Ok(None);
-        }
-        let point = self.antenna_reference_point();
+        let Self { reader, order, input, site, station, .. } = self;
+        let read = |epoch: &mut Epoch| {
+            let is_read = reader.read_epoch(epoch).map_err(|error| input.damaged(&error))?;
+            let before = station.antenna_reference_point;
+            Ok(is_read.then(|| point_in_file(reader, site, before)))
+        };
+        let Some(point) = order.next(&mut epoch, read)? else { return Ok(None) };
         if let Some(antenna) = &mut self.antenna {
             antenna.correct(&mut epoch, Some(point), navigation);
         }
         Ok(Some((epoch, point)))
-    }
-
-    /// The antenna reference point at the epoch read last: messages may move it, and so may header
-    /// records in the file, after an event.
-    fn antenna_reference_point(&self) -> Ecef {
-        let BaseSite { source, marker, .. } = self.site;
-        if source == PositionSource::Message {
-            let station = self.reader.station();
-            let reported = station.and_then(|station| station.antenna_reference_point);
-            return reported.unwrap_or(self.station.antenna_reference_point);
-        }
-        let Some(header) = self.reader.header() else {
-            return self.station.antenna_reference_point;
-        };
-        let in_header = header.approximate_position.filter(|_| source == PositionSource::Header);
-        let marker = in_header.unwrap_or(marker);
-        let antenna_delta_hen_m = header.antenna_delta_hen_m;
-        antenna_reference_point(marker, antenna_delta_hen_m)
     }
 
     /// The base data of the rover's epoch for an estimator.
@@ -214,6 +202,20 @@ impl<'a> BaseRecording<'a> {
     pub fn left_out(&self) -> (&'a str, LeftOut) {
         (self.input.name(), self.reader.left_out())
     }
+}
+
+/// The antenna reference point at the epoch read last: messages may move it, and so may header
+/// records in the file, after an event. Without either it is `before`.
+fn point_in_file(reader: &ObservationFile, site: &BaseSite, before: Ecef) -> Ecef {
+    let BaseSite { source, marker, .. } = *site;
+    if source == PositionSource::Message {
+        let reported = reader.station().and_then(|station| station.antenna_reference_point);
+        return reported.unwrap_or(before);
+    }
+    let Some(header) = reader.header() else { return before };
+    let in_header = header.approximate_position.filter(|_| source == PositionSource::Header);
+    let marker = in_header.unwrap_or(marker);
+    antenna_reference_point(marker, header.antenna_delta_hen_m)
 }
 
 /// The mean of a receiver's single-point positions, ECEF (m), and their number.

@@ -23,6 +23,7 @@ mod input;
 mod navigation;
 mod observations;
 mod odometry;
+mod order;
 mod provenance;
 mod reading;
 mod solutions;

@@ -12,6 +12,8 @@ pub struct Provenance {
     pub is_base_unused: bool,
     /// The antennas that were looked up, the base's first.
     pub antennas: Vec<AntennaProvenance>,
+    /// Number of the rover's epochs that are left out because the epochs after them are earlier.
+    pub out_of_time: u64,
     /// Number of rows of odometry without an epoch, if there is odometry.
     pub unmatched_odometry: Option<usize>,
     /// Skipped content of each file, the rover's first.
@@ -69,6 +71,13 @@ impl Provenance {
             lines.push("base: not used, as the mode is not relative to one".to_owned());
         }
         lines.extend(self.antennas.iter().flat_map(AntennaProvenance::lines));
+        if 0 < self.out_of_time {
+            lines.push(format!(
+                "warning: rover: {} epochs are left out: they are dated later than the epochs \
+                 after them",
+                self.out_of_time
+            ));
+        }
         if let Some(rows) = self.unmatched_odometry {
             lines.push(format!("odometry: {rows} rows without an epoch"));
         }

@@ -12,6 +12,7 @@ use super::base::BaseRecording;
 use super::navigation::{Dating, LeftOutOf, NavigationFiles};
 use super::observations::{ObservationFile, ReportedSite, observations};
 use super::odometry::OdometryRows;
+use super::order::EpochOrder;
 use super::span::Span;
 use super::{AnswerKind, ApproximatePosition, BasePosition, Input, Provenance, RecordingError};
 
@@ -91,6 +92,7 @@ pub struct Recording<'a> {
     dating: Dating,
     left_out: LeftOutOf<'a>,
     rover: ObservationFile,
+    order: EpochOrder<()>,
     base: Option<BaseRecording<'a>>,
     /// The rover's antenna and approximate position.
     antenna: Option<(ReceiverAntenna, ApproximatePosition)>,
@@ -109,9 +111,19 @@ impl<'a> Recording<'a> {
         let rover = observations(&inputs.rover, &dating, &navigation)?;
         let base = open_base(inputs, &dating, &navigation)?;
         let odometry = inputs.odometry.as_ref().map(read_odometry).transpose()?;
-        let (span, antenna) = (inputs.span(), None);
-        let mut recording =
-            Self { inputs, span, navigation, dating, left_out, rover, base, antenna, odometry };
+        let (span, order, antenna) = (inputs.span(), EpochOrder::default(), None);
+        let mut recording = Self {
+            inputs,
+            span,
+            navigation,
+            dating,
+            left_out,
+            rover,
+            order,
+            base,
+            antenna,
+            odometry,
+        };
         recording.find_antennas()?;
         Ok(recording)
     }
@@ -144,7 +156,10 @@ impl<'a> Recording<'a> {
     pub fn read_epoch(&mut self, epoch: &mut Epoch) -> Result<bool, RecordingError> {
         let damaged = |error| self.inputs.rover.damaged(&error);
         loop {
-            if !self.rover.read_epoch(epoch).map_err(damaged)? {
+            let read = |epoch: &mut Epoch| {
+                Ok(self.rover.read_epoch(epoch).map_err(damaged)?.then_some(()))
+            };
+            if self.order.next(epoch, read)?.is_none() {
                 return Ok(false);
             }
             // Also for epochs outside the span, so that their rows are not assigned to later ones.
@@ -208,6 +223,7 @@ impl<'a> Recording<'a> {
             base: self.base.as_ref().map(BaseRecording::provenance),
             is_base_unused: false,
             antennas: base_antenna.into_iter().chain(rover_antenna).collect(),
+            out_of_time: self.order.left_out(),
             unmatched_odometry: self.odometry.as_ref().map(OdometryRows::unmatched),
             left_out: left_out.into_iter().map(|(name, left)| (name.to_owned(), left)).collect(),
         }

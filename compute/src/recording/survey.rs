@@ -10,6 +10,7 @@ use crate::positioning::{Aiding, Estimator};
 
 use super::navigation::{Dating, NavigationFiles};
 use super::observations::{ObservationFile, ReportedSite, observations};
+use super::order::EpochOrder;
 use super::{Input, RecordingError};
 
 /// Epochs in which a single-point position is looked for.
@@ -58,6 +59,7 @@ impl InForce {
 pub struct Survey<'a> {
     rover: &'a Input,
     reader: ObservationFile,
+    order: EpochOrder<()>,
     dating: Dating,
     /// Of the files of navigation data, else what the receivers have decoded.
     navigation: Navigation,
@@ -88,8 +90,8 @@ impl<'a> Survey<'a> {
             false => (Navigation::default(), Dating::new(reference)),
         };
         let reader = observations(rover, &dating, &navigation)?;
-        let epoch = Epoch::new(GpsTime::EPOCH);
-        Ok(Self { rover, reader, dating, navigation, epoch, span: None })
+        let (order, epoch) = (EpochOrder::default(), Epoch::new(GpsTime::EPOCH));
+        Ok(Self { rover, reader, order, dating, navigation, epoch, span: None })
     }
 
     /// Reads the next epoch of the rover. Returns false at the end.
@@ -97,8 +99,10 @@ impl<'a> Survey<'a> {
     /// # Errors
     /// The file cannot be read.
     pub fn step(&mut self) -> Result<bool, RecordingError> {
-        let is_read = self.reader.read_epoch(&mut self.epoch);
-        if !is_read.map_err(|error| self.rover.damaged(&error))? {
+        let damaged = |error| self.rover.damaged(&error);
+        let read =
+            |epoch: &mut Epoch| Ok(self.reader.read_epoch(epoch).map_err(damaged)?.then_some(()));
+        if self.order.next(&mut self.epoch, read)?.is_none() {
             return Ok(false);
         }
         let time = self.epoch.time;
