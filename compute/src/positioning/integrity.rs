@@ -95,6 +95,12 @@ pub(super) fn normal_one_sided(tail: f64) -> f64 {
     (t - numerator / denominator).max(0.0)
 }
 
+/// The length that a bivariate normal vector of unit variances exceeds with probability `tail`,
+/// 0 < `tail` ≤ 1: Rayleigh's distribution.
+pub(super) fn bivariate_normal(tail: f64) -> f64 {
+    (-2.0 * tail.ln()).sqrt()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -113,6 +119,13 @@ mod tests {
         assert!((normal_one_sided(1e-3) - 3.090_2).abs() < 5e-4, "{}", normal_one_sided(1e-3));
         assert!((normal_one_sided(0.05) - 1.644_9).abs() < 5e-4);
         assert!(normal_one_sided(0.5) < 5e-4);
+    }
+
+    /// χ² of two degrees of freedom is 13.8155 at 0.1 %.
+    #[test]
+    fn the_bivariate_quantile_is_that_of_the_tables() {
+        assert!((bivariate_normal(1e-3) - 13.815_51_f64.sqrt()).abs() < 1e-6);
+        assert_eq!(bivariate_normal(1.0), 0.0);
     }
 
     /// Integers that are wrong in one of a hundred epochs give no bound at a risk of one in a

@@ -8,21 +8,24 @@
 //! satellite i:
 //!
 //! - none is wrong, but each may be reflected, with the probability π_i of its C/N0 and an extra
-//!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/4)·σ₀, with f ≥ 1 the ratio of
+//!   path of mean λ: Σ₀ = Σ_stated + f·Σ S_i S_iᵀ·2λ²π_i, level k(P/2)·σ₀, with f ≥ 1 the ratio of
 //!   the residuals to their expectation;
 //! - satellite i alone is wrong, with probability ε: |p − p₋ᵢ| + k(P/(2nε))·σ₋ᵢ, with p₋ᵢ and Σ₋ᵢ
 //!   the solution without it, or |S_i|·W + k(P/(2nε))·σ₀ if that is smaller or the others cannot
 //!   replace satellite i.
 //!
 //! The level is the largest of these, each with its part of the risk P. π, λ and ε are those of the
-//! pseudoranges' likelihood; W is the largest error that multipath can cause.
+//! pseudoranges' likelihood; W is the largest error that multipath can cause. σ is the horizontal
+//! ellipse's semi-major axis, or that of the height. k(p)σ is exceeded with probability p at most:
+//! horizontally by the length of a bivariate normal vector, k = √(−2·ln p), which is exact for a
+//! circle; vertically by a normal variable, of both signs, or of that of the wrong satellite.
 
 use nalgebra::Vector3;
 
 use crate::gnss::{LocalFrame, Protection};
 use crate::positioning::Measurement;
 use crate::positioning::code_error::{FAULT_SHARE, WILD_M, extra_path_m};
-use crate::positioning::integrity::{major_m2, normal_one_sided};
+use crate::positioning::integrity::{bivariate_normal, major_m2, normal_one_sided};
 use crate::positioning::receiver::reflected_before_learning;
 
 use super::exclusion::REDUNDANCY_MIN;
@@ -81,21 +84,26 @@ impl SinglePoint {
     ) -> Option<Protection> {
         let stated = self.influences(frame, fit);
         let (spread, count) = (self.spread(stated), self.influences.len() as f64);
-        let none = normal_one_sided(0.25 * risk);
-        let fault = normal_one_sided((risk / (2.0 * count * FAULT_SHARE)).min(0.5));
+        let fault_risk = risk / (2.0 * count * FAULT_SHARE);
+        let across_fault = bivariate_normal(fault_risk.min(1.0));
+        let up_fault = normal_one_sided(fault_risk.min(0.5));
         let (across_m, up_m) = spread.deviations_m();
-        let mut levels = Protection { horizontal_m: none * across_m, vertical_m: none * up_m };
+        let mut levels = Protection {
+            horizontal_m: bivariate_normal(0.5 * risk) * across_m,
+            vertical_m: normal_one_sided(0.25 * risk) * up_m,
+        };
         for influence in &self.influences {
             let Influence { gain, residual_m, redundancy, variance_m2 } = influence;
             let reach_m = gain.xy().norm();
-            let mut bound =
-                (reach_m * WILD_M + fault * across_m, gain.z.abs() * WILD_M + fault * up_m);
+            let of_error = |error_m: f64, (across_m, up_m): (f64, f64)| {
+                let horizontal_m = reach_m * error_m + across_fault * across_m;
+                (horizontal_m, gain.z.abs() * error_m + up_fault * up_m)
+            };
+            let mut bound = of_error(WILD_M, (across_m, up_m));
             if REDUNDANCY_MIN < *redundancy {
                 let shift = (residual_m / redundancy).abs();
                 let without = spread.with(gain, variance_m2 / redundancy);
-                let (across_m, up_m) = without.deviations_m();
-                let replaced =
-                    (reach_m * shift + fault * across_m, gain.z.abs() * shift + fault * up_m);
+                let replaced = of_error(shift, without.deviations_m());
                 bound = (bound.0.min(replaced.0), bound.1.min(replaced.1));
             }
             levels.horizontal_m = levels.horizontal_m.max(bound.0);
