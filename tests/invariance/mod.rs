@@ -1,4 +1,6 @@
-//! Restarts and snapshots of estimators and sessions, which must not affect an answer.
+//! What must not affect an answer: restarts and snapshots of estimators and sessions, pauses and
+//! rates of a receiver.
 
+mod moves;
 mod restoring;
 mod windows;

@@ -7,7 +7,7 @@
 //! when the model's error would appear as a drift of the position, the second phase has most of it.
 
 use crate::config::REFERENCE_CN0_DB_HZ;
-use crate::gnss::{ObservationCode, SatelliteId};
+use crate::gnss::{EphemerisIssue, ObservationCode, SatelliteId};
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::Measurement;
@@ -34,6 +34,7 @@ const CLOCK_DIFFERS_M: f64 = 3e4;
 struct Kept {
     satellite: SatelliteId,
     code: ObservationCode,
+    ephemeris: EphemerisIssue,
     /// Index of its satellite among the epoch's sights.
     sight: u16,
     /// Free of satellite clock, troposphere and ionosphere (m).
@@ -66,6 +67,7 @@ impl Kept {
         Some(Self {
             satellite: measurement.satellite,
             code: measurement.code,
+            ephemeris: measurement.ephemeris,
             sight,
             corrected_m: phase.range_m - measurement.troposphere_m + measurement.ionosphere_m,
             half_cycle: phase.half_cycle,
@@ -113,7 +115,16 @@ pub(super) struct Phases {
     sights: Vec<Sight>,
 }
 
-snapshot_fields!(Kept { satellite, code, sight, corrected_m, half_cycle, ionosphere_m, second });
+snapshot_fields!(Kept {
+    satellite,
+    code,
+    ephemeris,
+    sight,
+    corrected_m,
+    half_cycle,
+    ionosphere_m,
+    second,
+});
 snapshot_fields!(SecondPhase { code, difference_m, half_cycle });
 state_fields!(Phases { kept, sights });
 
@@ -146,6 +157,12 @@ impl Phases {
         self.kept.is_empty() || self.sights.len() == sights && self.kept.iter().all(is_known)
     }
 
+    /// Ephemeris of a satellite's kept phase.
+    pub(super) fn ephemeris(&self, satellite: SatelliteId) -> Option<EphemerisIssue> {
+        let kept = self.kept.iter().find(|kept| kept.satellite == satellite);
+        kept.map(|kept| kept.ephemeris)
+    }
+
     /// Satellites of the epoch whose phases are kept.
     pub(super) fn sights(&self) -> &[Sight] {
         &self.sights
@@ -167,6 +184,7 @@ impl Phases {
         for (sight, measurement) in sighted(list) {
             let Some(after) = Kept::of((sight, measurement)) else { continue };
             let lost = measurement.phase.is_none_or(|phase| phase.loss_of_lock);
+            let step_m = measurement.phase.map_or(0.0, |phase| phase.ephemeris_step_m);
             let before = self.kept.iter().find(|before| {
                 before.satellite == after.satellite
                     && before.code == after.code
@@ -177,7 +195,7 @@ impl Phases {
             factors.push(PhaseDifferenceFactor {
                 before: before.sight,
                 after: after.sight,
-                change_m: after.corrected_m - before.corrected_m + unmodelled_m,
+                change_m: after.corrected_m - before.corrected_m + unmodelled_m + step_m,
                 inverse_sigma: sigma_m.hypot(thermal_m(measurement.cn0_db_hz)).recip(),
             });
         }
@@ -235,7 +253,12 @@ mod tests {
     fn measurement(ionosphere_m: f64, model_m2: f64, slipped_m: f64) -> Measurement {
         let satellite = "G01".parse().unwrap();
         let code = |text| ObservationCode::parse(text).unwrap();
-        let phase = |range_m| CarrierPhase { range_m, loss_of_lock: false, half_cycle: false };
+        let phase = |range_m| CarrierPhase {
+            range_m,
+            loss_of_lock: false,
+            half_cycle: false,
+            ephemeris_step_m: 0.0,
+        };
         Measurement {
             satellite,
             code: code("1C"),

@@ -5,9 +5,9 @@ use nalgebra::Vector3;
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Ecef, Ephemeris, Epoch, Geodetic, GpsTime, GroupDelays, KeplerianEphemeris, LocalFrame,
-    Navigation, NavigationMessage, Observation, ObservationCode, Reason, SatelliteId, Solution,
-    Status,
+    Cycles, Ecef, Enu, Ephemeris, Epoch, Geodetic, GpsTime, GroupDelays, KeplerianEphemeris,
+    LocalFrame, Navigation, NavigationMessage, Observation, ObservationCode, Reason, SatelliteId,
+    Solution, Status,
 };
 use crate::models::{geometric_range, look_angles, range_rate, state_at_transmission};
 
@@ -78,21 +78,39 @@ fn ephemeris(satellite: SatelliteId, node_rad: f64, anomaly_rad: f64) -> Ephemer
 
 /// The receiver's observation of a satellite: exact pseudorange and Doppler.
 fn observation(ephemeris: &Ephemeris) -> Observation {
-    let mut pseudorange_m = 2.2e7;
-    let mut state = state_at_transmission(ephemeris, tag(), pseudorange_m);
-    for _ in 0..8 {
-        let range_m = geometric_range(state.position, receiver()).0;
-        pseudorange_m = range_m + CLOCK_M - state.clock_m;
-        state = state_at_transmission(ephemeris, tag(), pseudorange_m);
-    }
-    let rate =
-        range_rate(state.position, &state.velocity_m_s, receiver(), &velocity_m_s()).rate_m_s;
-    let rate = rate + DRIFT_M_S - state.clock_drift_m_s;
-    Observation {
-        pseudorange_m: Some(pseudorange_m),
-        doppler_hz: Some(-rate * 1_575.42e6 / SPEED_OF_LIGHT),
-        cn0_db_hz: Some(45.0),
-        ..Observation::empty(ephemeris.satellite(), ObservationCode::parse("1C").unwrap())
+    let moment = Moment { time: tag(), receiver: receiver(), velocity_m_s: velocity_m_s() };
+    Observation { carrier_phase: None, ..moment.observation(ephemeris) }
+}
+
+/// A receiver at one time.
+struct Moment {
+    time: GpsTime,
+    receiver: Ecef,
+    velocity_m_s: Vector3<f64>,
+}
+
+impl Moment {
+    /// Exact pseudorange, phase and Doppler of a satellite.
+    fn observation(&self, ephemeris: &Ephemeris) -> Observation {
+        let Self { time, receiver, velocity_m_s } = self;
+        let clock_m = CLOCK_M + DRIFT_M_S * (*time - tag());
+        let mut pseudorange_m = 2.2e7;
+        let mut state = state_at_transmission(ephemeris, *time, pseudorange_m);
+        for _ in 0..8 {
+            let range_m = geometric_range(state.position, *receiver).0;
+            pseudorange_m = range_m + clock_m - state.clock_m;
+            state = state_at_transmission(ephemeris, *time, pseudorange_m);
+        }
+        let rate = range_rate(state.position, &state.velocity_m_s, *receiver, velocity_m_s);
+        let rate_m_s = rate.rate_m_s + DRIFT_M_S - state.clock_drift_m_s;
+        let per_meter = 1_575.42e6 / SPEED_OF_LIGHT;
+        Observation {
+            pseudorange_m: Some(pseudorange_m),
+            carrier_phase: Some(Cycles(pseudorange_m * per_meter)),
+            doppler_hz: Some(-rate_m_s * per_meter),
+            cn0_db_hz: Some(45.0),
+            ..Observation::empty(ephemeris.satellite(), ObservationCode::parse("1C").unwrap())
+        }
     }
 }
 
@@ -314,4 +332,31 @@ fn a_satellite_without_ephemeris_is_named() {
     observations.push(Observation { satellite: unknown, ..observations[0] });
     let solution = solve(observations, &navigation);
     assert_eq!(solution.reasons, [Reason::EphemerisMissing { satellites: vec![unknown] }]);
+}
+
+/// After ten minutes at rest a drone climbs with 5 m/s. Doppler, phases and pseudoranges agree on
+/// it, and the learnt vertical velocity of millimetres a second does not outweigh them.
+#[test]
+fn a_climb_after_a_long_rest_is_followed() {
+    let mut navigation = Navigation::default();
+    sky('G', 8, &mut navigation);
+    let options = PositioningOptions { mode: Mode::Fgo, ..options() };
+    let (mut estimator, frame) = (Estimator::new(options), LocalFrame::at(receiver()));
+    for second in 0..660 {
+        let climbed_s = f64::from((second - 600).max(0));
+        let up = Vector3::new(0.0, 0.0, 5.0);
+        let at_m_s =
+            if 0.0 < climbed_s { frame.rotation.transpose() * up } else { Vector3::zeros() };
+        let moment = Moment {
+            time: tag() + f64::from(second),
+            receiver: frame.to_ecef(Enu(up * climbed_s)),
+            velocity_m_s: at_m_s,
+        };
+        let all = navigation.satellites().flat_map(|(_, list)| list);
+        let observations = all.map(|ephemeris| moment.observation(ephemeris)).collect();
+        let epoch = Epoch { observations, ..Epoch::new(moment.time) };
+        let solution = estimator.advance(&epoch, &Aiding::alone(&navigation));
+        let off_m = solution.estimate.unwrap().position.distance_m(moment.receiver);
+        assert!(off_m < 3.0, "{off_m} m after {second} s");
+    }
 }

@@ -4,8 +4,7 @@ use nalgebra::Vector3;
 
 use crate::config::{DopplerUse, GraphOptions, PositioningOptions};
 use crate::gnss::{
-    Constellation, Ecef, Enu, EphemerisIssue, GpsTime, LocalFrame, Reason, Solution,
-    SolutionEstimate, Status,
+    Constellation, Ecef, Enu, GpsTime, LocalFrame, Reason, Solution, SolutionEstimate, Status,
 };
 use crate::positioning::Measurements;
 use crate::positioning::answer::Answer;
@@ -46,14 +45,12 @@ struct Known {
     /// Constellations whose bias has begun.
     begun: [bool; Constellation::COUNT],
     phases: Phases,
-    /// Ephemerides of the satellites of `phases`.
-    issues: Vec<EphemerisIssue>,
     standstill: Standstill,
     /// For how long most pseudoranges have failed the test (s).
     failing_s: f64,
 }
 
-state_fields!(Known { time, frame, gaussian, begun, phases, issues, standstill, failing_s });
+state_fields!(Known { time, frame, gaussian, begun, phases, standstill, failing_s });
 
 /// A causal estimator that keeps one state.
 #[derive(Debug)]
@@ -145,7 +142,9 @@ impl FilterScratch {
         self.settle_clock(known, Some(interval_s), graph);
         self.rates(&known.frame, receiver, inputs.options());
         if graph.phase {
-            self.end_arcs(&known.issues);
+            let before = |satellite| known.phases.ephemeris(satellite);
+            let (time, navigation) = (inputs.epoch.time, inputs.navigation);
+            self.measurements.follow_ephemerides(before, receiver, time, navigation);
             let sigma_m = graph.phase_sigma_m.max(PHASE_BOUND_M);
             let Self { measurements, rows: Rows { sights, phases, .. }, clock, .. } = self;
             known.phases.differences(&measurements.list, sigma_m, interval_s, phases);
@@ -168,17 +167,6 @@ impl FilterScratch {
             return None;
         }
         Some(self.finish(inputs, known, interval_s))
-    }
-
-    /// Ends the carrier phases whose ephemeris changed. The filter has no kernel for phases, so the
-    /// step between two ephemerides would count as a displacement.
-    fn end_arcs(&mut self, before: &[EphemerisIssue]) {
-        for measurement in &mut self.measurements.list {
-            let is_new = !before.contains(&measurement.ephemeris);
-            if let Some(phase) = measurement.phase.as_mut().filter(|_| is_new) {
-                phase.loss_of_lock = true;
-            }
-        }
     }
 
     /// The displacement by odometry, and whether the receiver is at rest.
@@ -210,7 +198,6 @@ impl FilterScratch {
             gaussian: Gaussian::zero(),
             begun: [false; Constellation::COUNT],
             phases: Phases::default(),
-            issues: Vec::new(),
             standstill: Standstill::default(),
             failing_s: 0.0,
         };
@@ -316,8 +303,6 @@ impl FilterScratch {
         let options = inputs.options();
         let has_velocity = options.graph.motion || self.set_doppler_velocity(known, options);
         if options.graph.phase {
-            known.issues.clear();
-            known.issues.extend(self.measurements.list.iter().map(|m| m.ephemeris));
             known.phases.keep(&self.rows.sights, &self.measurements.list);
         }
         let mut reasons = Vec::new();

@@ -42,6 +42,8 @@ struct Lead {
     scratch: WindowScratch,
     /// The last state of each epoch in the window.
     states: BTreeMap<GpsTime, LeadState>,
+    /// Whether the start of the window was proven since the chain began.
+    is_proven: bool,
 }
 
 /// A state of the window; frames of window and chain may differ.
@@ -57,12 +59,14 @@ struct LeadState {
 impl Lead {
     fn new(setup: &Setup) -> Self {
         let window = SlidingWindow::new(setup, false);
-        Self { window, scratch: WindowScratch::default(), states: BTreeMap::new() }
+        let (scratch, states) = (WindowScratch::default(), BTreeMap::new());
+        Self { window, scratch, states, is_proven: false }
     }
 
     fn advance(&mut self, inputs: &EpochInputs<'_>) {
-        let Self { window, scratch, states } = self;
+        let Self { window, scratch, states, is_proven } = self;
         window.advance(inputs, scratch, &mut Vec::new());
+        *is_proven |= window.chain.is_proven;
         let Chain { frame, epochs, estimate, .. } = &window.chain;
         states.extend(epochs.iter().zip(&estimate.states).map(|(epoch, state)| {
             let velocity_m_s = state.fixed_rows::<3>(VELOCITY).into_owned();
@@ -76,8 +80,10 @@ impl Lead {
         }));
     }
 
-    /// Sets the chain's states and biases to those of the window.
-    fn place(&self, chain: &mut Chain) {
+    /// Sets the chain's states and biases to those of the window. If the window's position was
+    /// proven, so is that of the chain, which has all its epochs.
+    fn place(&mut self, chain: &mut Chain) {
+        chain.is_proven = std::mem::take(&mut self.is_proven);
         let Chain { frame, epochs, estimate, .. } = chain;
         for (epoch, state) in epochs.iter().zip(&mut estimate.states) {
             let Some(lead) = self.states.get(&epoch.time) else { continue };
@@ -143,6 +149,8 @@ impl WholeChain {
             self.solutions.push(alone);
             return;
         }
+        let before = |satellite| self.chain.ephemeris(satellite);
+        measurements.follow_ephemerides(before, receiver, epoch.time, navigation);
         if let Some(lead) = &mut self.lead {
             self.chain.receiver = lead.window.chain.receiver.clone();
             lead.advance(inputs);
@@ -164,7 +172,7 @@ impl WholeChain {
         if chain.epochs.is_empty() {
             return;
         }
-        if let Some(lead) = &self.lead {
+        if let Some(lead) = &mut self.lead {
             lead.place(chain);
         }
         match chain.solve(&setup.alone, &setup.alone.whole, scratch, workspace) {

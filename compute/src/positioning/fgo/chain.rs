@@ -5,15 +5,17 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 
 use crate::config::DopplerUse;
-use crate::gnss::{Constellation, Ecef, Enu, GpsTime, LocalFrame, Odometry};
+use crate::gnss::{
+    Constellation, Ecef, Enu, EphemerisIssue, GpsTime, LocalFrame, Odometry, SatelliteId,
+};
 use crate::graph::{
     Elimination, EliminationError, Estimate, OptimizerOptions, Phase, Prior, Problem, System,
     Workspace, optimize,
 };
 use crate::positioning::clock_jump::jump_m;
 use crate::positioning::factors::{
-    BiasFactor, CLOCK, ClockFactor, ComponentFactor, DRIFT, DopplerVelocityFactor, Line,
-    MotionFactor, OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
+    BiasFactor, CLOCK, ClockFactor, DRIFT, DopplerVelocityFactor, Line, MotionFactor,
+    OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
 use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
@@ -28,7 +30,7 @@ use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
 use super::epoch::{Factors, GraphEpoch, Miss, Rows, Seen, Tie};
-use super::start::{follow_doppler, regularize};
+use super::start::{follow_doppler, is_precise, regularize};
 
 /// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
 pub(super) const BIAS_M: f64 = 300.0;
@@ -90,6 +92,8 @@ pub(super) struct ChainScratch {
     velocity: VelocityEstimator,
     /// Signals of the newest epoch's pseudoranges.
     pub(super) signals: Vec<Signal>,
+    /// Whether the start of the newest epoch's solve is about as precise as its solution.
+    pub(super) is_start_precise: bool,
 }
 
 impl Chain {
@@ -174,6 +178,11 @@ impl Chain {
         next
     }
 
+    /// Ephemeris of a satellite's phase at the newest epoch.
+    pub(super) fn ephemeris(&self, satellite: SatelliteId) -> Option<EphemerisIssue> {
+        self.phases.ephemeris(satellite)
+    }
+
     /// Adds an epoch with the initial state `guess`, at which the measurements were modelled.
     ///
     /// The clock of the guess, and the biases of constellations that the chain has not had before,
@@ -200,10 +209,13 @@ impl Chain {
         look(&self.frame, &measurements.list, &mut factors.sights);
         self.range(measurements, setup, scratch);
         self.add_rates(receiver, &measurements.list, setup, scratch);
+        scratch.is_start_precise = true;
         if let (true, Some(interval_s), Some(before)) =
             (setup.learns, interval_s, self.estimate.states.last())
         {
-            follow_doppler(&mut guess, before, interval_s, &scratch.factors.rates);
+            let rates = &scratch.factors.rates;
+            let follows = follow_doppler(&mut guess, before, interval_s, rates);
+            scratch.is_start_precise = is_precise(interval_s, follows, options.horizontal_walk_m_s);
         }
         let clock_m = self.settle_clock(&mut guess, scratch);
         let factors = &mut scratch.factors;
@@ -227,11 +239,7 @@ impl Chain {
         let share = self.independent_share(interval_s, setup, scratch);
         let factors = &mut scratch.factors;
         regularize(factors, interval_s.is_none(), &guess, options);
-        if setup.learns {
-            let sigma_m_s = self.receiver.vertical_sigma_m_s(spacing_s);
-            let (column, inverse_sigma) = (VELOCITY + 2, sigma_m_s.recip());
-            factors.components.push(ComponentFactor { column, mean: 0.0, inverse_sigma });
-        }
+        factors.vertical = setup.learns.then(|| self.receiver.vertical_prior(spacing_s));
         if options.phase {
             self.phases.keep(&factors.sights, &measurements.list);
         }
@@ -423,11 +431,6 @@ impl Chain {
         let summary = optimize(&mut rows, estimate, how, workspace)?;
         self.weigh_residuals(settings, scratch);
         Ok(summary.cost)
-    }
-
-    /// Whether the accepted pseudoranges of the newest epoch do not determine its position.
-    pub(super) fn is_lost(&self) -> bool {
-        self.epochs.last().is_some_and(|newest| newest.residuals.is_lost())
     }
 
     /// Linearises and factors the chain at its estimate.

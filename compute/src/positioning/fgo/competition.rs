@@ -1,7 +1,9 @@
 //! Decides whether a window moves to another position.
 //!
 //! If the window rejects most pseudoranges of the newest epoch, this epoch is solved again from its
-//! own pseudoranges ([`Chain::retry`]). If the window's residuals have agreed on another position
+//! own pseudoranges ([`Chain::retry`]). If most of them are then farther off than any multipath, a
+//! new chain begins ([`Chain::is_refuted`]): the receiver was moved while it was off, or a repeater
+//! or a simulator has led it away. If the window's residuals have agreed on another position
 //! for long enough, the whole window moves there ([`Chain::reconsider`]).
 
 use std::sync::Arc;
@@ -14,7 +16,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, Verdict, rivalry};
 use crate::positioning::setup::GraphSettings;
-use crate::positioning::starts::{START_CLOCK_M, START_M_S};
+use crate::positioning::starts::{START_CLOCK_M, START_M_S, are_refuting};
 
 use super::chain::{BIAS_M, Chain, ChainScratch};
 use super::epoch::Miss;
@@ -44,6 +46,27 @@ impl Chain {
         self.factor(settings, scratch, workspace)?;
         self.weigh_residuals(settings, scratch);
         Ok(())
+    }
+
+    /// Whether the accepted pseudoranges of the newest epoch do not determine its position.
+    pub(super) fn is_lost(&self) -> bool {
+        self.epochs.last().is_some_and(|newest| newest.residuals.is_lost())
+    }
+
+    /// Whether the newest epoch's pseudoranges refute its position, so that another one must be
+    /// looked for farther away than the search reaches.
+    pub(super) fn is_refuted(&self, scratch: &mut ChainScratch) -> bool {
+        let Estimate { states, border } = &self.estimate;
+        let (Some(newest), Some(state)) = (self.epochs.last(), states.last()) else { return false };
+        if !self.is_lost() {
+            return false;
+        }
+        let ChainScratch { lines, numbers, .. } = scratch;
+        newest.factors.see(state, lines);
+        numbers.clear();
+        let ranges = &newest.factors.ranges;
+        numbers.extend(ranges.iter().map(|range| range.miss_m(lines, state, border)));
+        are_refuting(numbers)
     }
 
     /// Moves the newest state to the position on which its own pseudoranges agree; returns whether

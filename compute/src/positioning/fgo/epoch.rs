@@ -15,6 +15,7 @@ use crate::positioning::factors::{
 use crate::positioning::measurements::aiding_reasons;
 use crate::positioning::median::median;
 use crate::positioning::ranging::{RangeLosses, Ranging};
+use crate::positioning::receiver::VerticalPrior;
 use crate::positioning::setup::{AnnealedKernels, Kernels, student};
 use crate::positioning::uncertainty::Residuals;
 use crate::snapshot::snapshot_fields;
@@ -133,6 +134,9 @@ impl GraphEpoch {
         }
         system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
         factors.components.iter().for_each(|component| component.add_to(k, estimate, system));
+        if let Some(vertical) = &factors.vertical {
+            vertical.add_to(k, estimate, system);
+        }
         for bias in &factors.biases {
             let (row, slope) = bias.linearize(estimate.border[bias.variable]);
             system.add_with_border(k, &row, &[(bias.variable, slope)], &Kernel::QUADRATIC);
@@ -158,6 +162,8 @@ pub(super) struct Factors {
     /// Present if the receiver has been at rest since the previous epoch.
     pub(super) standstill: Option<ZeroVelocityFactor>,
     pub(super) components: Vec<ComponentFactor>,
+    /// Present if the receiver's vertical velocity is learnt.
+    pub(super) vertical: Option<VerticalPrior>,
     pub(super) biases: Vec<BiasFactor>,
     /// Local velocity from this epoch's Doppler alone, if the next link uses it (m/s).
     pub(super) doppler_velocity_m_s: Option<Vector3<f64>>,
@@ -181,6 +187,7 @@ snapshot_fields!(Factors {
     odometry,
     standstill,
     components,
+    vertical,
     biases,
     doppler_velocity_m_s,
     without_ephemeris,
@@ -198,6 +205,7 @@ impl Factors {
         self.phases.clear();
         self.phase_clock = None;
         self.components.clear();
+        self.vertical = None;
         self.biases.clear();
         self.without_ephemeris.clear();
         self.ionosphere_fallback = None;
@@ -416,6 +424,7 @@ impl Factors {
             && self.phases.iter().map(ends).all(is_link)
             && self.biases.iter().all(|bias| bias.variable < border)
             && self.components.iter().all(|component| component.column < STATE)
+            && self.vertical.is_none_or(|vertical| vertical.is_valid())
     }
 }
 

@@ -20,21 +20,34 @@ const RATES_MIN: usize = 6;
 /// Iterations of reweighted least squares.
 const ITERATIONS: usize = 10;
 
+/// Largest standard deviation of a precise start (m): that of the best pseudoranges.
+const PRECISE_M: f64 = 1.0;
+
 /// Sets the velocity of `guess` from the epoch's own Doppler. Its position follows from the mean of
-/// that velocity and the velocity of `before`, `interval_s` earlier.
+/// that velocity and the velocity of `before`, `interval_s` earlier. Returns whether Doppler
+/// determines the velocity.
 pub(super) fn follow_doppler(
     guess: &mut State,
     before: &State,
     interval_s: f64,
     rates: &[DopplerFactor],
-) {
-    let Some(rate) = velocity_and_drift(rates, guess) else { return };
+) -> bool {
+    let Some(rate) = velocity_and_drift(rates, guess) else { return false };
     for axis in 0..3 {
         let mean_m_s = 0.5 * (before[VELOCITY + axis] + rate[axis]);
         guess[axis] = before[axis] + interval_s * mean_m_s;
         guess[VELOCITY + axis] = rate[axis];
     }
     guess[DRIFT] = rate[3];
+    true
+}
+
+/// Whether a start is precise, from the velocity before it and, if `follows`, its own. White
+/// acceleration of q = `velocity_walk` (m/s/√s) leaves the position q·√(Δt³/3), and q·√(Δt³/12)
+/// between two known velocities.
+pub(super) fn is_precise(interval_s: f64, follows: bool, velocity_walk: f64) -> bool {
+    let parts = if follows { 12.0 } else { 3.0 };
+    velocity_walk * (interval_s.powi(3) / parts).sqrt() <= PRECISE_M
 }
 
 /// Velocity and drift (m/s) by least squares with Huber's weights; `None` if the Doppler
@@ -127,7 +140,7 @@ mod tests {
         before[VELOCITY] = 10.0;
         let mut guess = before;
         guess[0] = 40.0;
-        follow_doppler(&mut guess, &before, 4.0, &rates(Vector3::zeros(), 3.0, 0.0));
+        assert!(follow_doppler(&mut guess, &before, 4.0, &rates(Vector3::zeros(), 3.0, 0.0)));
         assert!((guess[0] - 20.0).abs() < 0.1 && guess[VELOCITY].abs() < 0.05, "{guess}");
         assert!((guess[DRIFT] - 3.0).abs() < 0.05, "{guess}");
     }
@@ -139,10 +152,17 @@ mod tests {
         let before = State::zeros();
         let mut guess = before;
         let rates = rates(Vector3::zeros(), 0.0, 2.0);
-        follow_doppler(&mut guess, &before, 1.0, &rates);
+        assert!(follow_doppler(&mut guess, &before, 1.0, &rates));
         assert!(guess.fixed_rows::<3>(VELOCITY).norm() < 0.6, "{guess}");
         let mut guess = before;
-        follow_doppler(&mut guess, &before, 1.0, &rates[..5]);
+        assert!(!follow_doppler(&mut guess, &before, 1.0, &rates[..5]));
         assert_eq!(guess, before);
+    }
+
+    /// With 2 m/s/√s: 0.58 m in 1 s between two velocities, 1.15 m after one, 1.63 m in 2 s.
+    #[test]
+    fn a_start_is_precise_for_about_a_second() {
+        assert!(is_precise(1.0, true, 2.0) && is_precise(0.2, false, 2.0));
+        assert!(!is_precise(1.0, false, 2.0) && !is_precise(2.0, true, 2.0));
     }
 }

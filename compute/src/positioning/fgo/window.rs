@@ -89,6 +89,8 @@ impl Engine for SlidingWindow {
         if scratch.measure(inputs, receiver).is_none() {
             return self.restart(inputs, scratch, revisions);
         }
+        let before = |satellite| self.chain.ephemeris(satellite);
+        scratch.measurements.follow_ephemerides(before, receiver, time, inputs.navigation);
         self.chain.append(
             inputs.epoch.time,
             guess,
@@ -100,6 +102,10 @@ impl Engine for SlidingWindow {
             self.chain.drop_newest();
             return self.restart(inputs, scratch, revisions);
         };
+        if self.chain.is_refuted(&mut scratch.chain) && scratch.has_own_position(inputs) {
+            self.chain.drop_newest();
+            return self.restart(inputs, scratch, revisions);
+        }
         self.let_leave(inputs.setup, scratch, revisions);
         solution
     }
@@ -127,6 +133,11 @@ fn ring(options: &PositioningOptions) -> usize {
 }
 
 impl WindowScratch {
+    /// Whether the epoch's own pseudoranges give a position.
+    fn has_own_position(&mut self, inputs: &EpochInputs<'_>) -> bool {
+        self.single_point.solve(inputs, None).estimate.is_some()
+    }
+
     /// The epoch's measurements, corrected for a receiver at `receiver`; `None` for a position
     /// where no receiver can be.
     fn measure(&mut self, inputs: &EpochInputs<'_>, receiver: Ecef) -> Option<()> {
@@ -335,7 +346,9 @@ impl SlidingWindow {
         let WindowScratch { chain: chain_scratch, workspace, covariances, answer, .. } = scratch;
         let (chain, settings) = (&mut self.chain, &setup.alone);
         // Until the first epoch is marginalised, the window can still move to a better minimum.
-        let how = if chain.has_past() { &settings.update } else { &settings.whole };
+        // From a start that is metres off, the sharp kernels of phases lead to a wrong one.
+        let is_near = chain.has_past() && chain_scratch.is_start_precise;
+        let how = if is_near { &settings.update } else { &settings.whole };
         let cost = chain.solve(settings, how, chain_scratch, workspace).ok()?;
         if setup.learns && chain.is_lost() {
             chain.retry(cost, settings, chain_scratch, workspace).ok()?;

@@ -9,6 +9,7 @@
 mod atmosphere;
 mod bands;
 mod corrected;
+mod ephemeris_steps;
 mod inter_frequency;
 mod signals;
 mod weights;
@@ -62,6 +63,9 @@ pub struct CarrierPhase {
     pub loss_of_lock: bool,
     /// Whether the phase may be off by half a cycle.
     pub half_cycle: bool,
+    /// What a change to another ephemeris since the previous epoch adds to the range of the orbit
+    /// and takes from `range_m` (m); zero without a change.
+    pub ephemeris_step_m: f64,
 }
 
 /// The measurements of one satellite at one epoch.
@@ -321,6 +325,7 @@ fn carrier_phase(
         range_m: phase.to_meters(Meters(SPEED_OF_LIGHT / frequency_hz)).0 + satellite.clock_m,
         loss_of_lock: observation.loss_of_lock,
         half_cycle: observation.half_cycle,
+        ephemeris_step_m: 0.0,
     })
 }
 
@@ -388,4 +393,52 @@ fn best_of_first_band<'a>(
         })
     });
     usable.min_by_key(|candidate| (candidate.band, candidate.place))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::{Mode, Profile};
+    use crate::gnss::{GroupDelays, KeplerianEphemeris, NavigationMessage};
+    use crate::simulation::{Scenario, navigation};
+
+    /// D1 has no group delay of B1C, B-CNAV has one of 4 ns. B1I is measured with D1, and with
+    /// B-CNAV, which has no delay of B1I, it would not be measured.
+    #[test]
+    fn the_message_is_one_that_has_the_delay_of_the_observed_signal() {
+        let broadcast = navigation(&Scenario::open_sky());
+        let d1_of = |ephemeris: &Ephemeris| match ephemeris {
+            Ephemeris::Keplerian(e) if e.message == NavigationMessage::D1 => Some(e.clone()),
+            _ => None,
+        };
+        let all = broadcast.satellites().flat_map(|(_, list)| list);
+        let d1 = all.filter_map(d1_of).next().expect("the scenario has BeiDou");
+        let GroupDelays::BeiDou { tgd1_s, .. } = d1.group_delays else { panic!("D1") };
+        let cnav = KeplerianEphemeris {
+            message: NavigationMessage::Cnv1,
+            group_delays: GroupDelays::BeiDouCnav {
+                tgd_b1cp_s: Some(4e-9),
+                tgd_b2ap_s: None,
+                tgd_b2bi_s: None,
+                isc_b1cd_s: None,
+                isc_b2ad_s: None,
+            },
+            ..d1.clone()
+        };
+        let (satellite, time) = (d1.satellite, d1.toe);
+        let mut known = Navigation::default();
+        known.insert_all([d1, cnav].map(Ephemeris::Keplerian));
+        let options = PositioningOptions::new(Mode::Fgo, Profile::General);
+        for (code, delay_s) in [("1P", 4e-9), ("2I", tgd1_s)] {
+            let code = ObservationCode::parse(code).unwrap();
+            let mut observation = Observation::empty(satellite, code);
+            observation.pseudorange_m = Some(2.2e7);
+            let epoch = Epoch { observations: vec![observation], ..Epoch::new(time) };
+            let mut measurements = Measurements::default();
+            measurements.gather(&epoch, &known, &options, ReceiverBands::AGREEING);
+            let [measured] = &measurements.list[..] else { panic!("{code:?} is not measured") };
+            let delay_m = 2.2e7 + measured.state.clock_m - measured.pseudorange_m;
+            assert!((delay_m - delay_s * SPEED_OF_LIGHT).abs() < 1e-6, "{code:?} {delay_m}");
+        }
+    }
 }

@@ -70,7 +70,9 @@ impl Signal {
     /// From a corrected measurement; `common_m` is [`common_ionosphere_m`] of its epoch.
     pub(in crate::positioning) fn of(measurement: &Measurement, common_m: f64) -> Self {
         let ionosphere_m = (measurement.ionosphere_sigma_m - common_m).max(0.0);
-        let satellite_m2 = measurement.group_delay_m2 + unusual_m2(measurement);
+        let constellation = measurement.satellite.constellation;
+        let orbit_m2 = unusual_m2(constellation, measurement.state.variance_m2);
+        let satellite_m2 = measurement.group_delay_m2 + orbit_m2;
         Self {
             cn0_db_hz: measurement.cn0_db_hz,
             elevation_rad: measurement.look.elevation_rad,
@@ -81,9 +83,9 @@ impl Signal {
 
 /// Variance of orbit and clock beyond the floor (m²): their error in normal operation grows in
 /// proportion to the accuracy that the message states.
-fn unusual_m2(measurement: &Measurement) -> f64 {
-    let (usual_m, error_m) = normal_operation_m(measurement.satellite.constellation);
-    let ratio_2 = measurement.state.variance_m2 / (usual_m * usual_m);
+fn unusual_m2(constellation: Constellation, stated_m2: f64) -> f64 {
+    let (usual_m, error_m) = normal_operation_m(constellation);
+    let ratio_2 = stated_m2 / (usual_m * usual_m);
     error_m * error_m * (ratio_2 - 1.0).max(0.0)
 }
 
@@ -271,6 +273,18 @@ fn factors(cn0_db_hz: f64) -> (f64, f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// GPS in normal operation states at most 4.85 m and errs by 0.6 m: at a stated 48.5 m it errs
+    /// by 6 m, of which the floor covers 0.6 m. Galileo states 3.12 m and errs by 0.2 m.
+    #[test]
+    fn the_error_grows_with_the_stated_accuracy() {
+        let unusual_m2 = |constellation, stated_m: f64| unusual_m2(constellation, stated_m.powi(2));
+        for usual_m in [0.0, 2.4, 4.85] {
+            assert_eq!(unusual_m2(Constellation::Gps, usual_m), 0.0);
+        }
+        assert!((unusual_m2(Constellation::Gps, 48.5) - (36.0 - 0.36)).abs() < 1e-9);
+        assert!((unusual_m2(Constellation::Galileo, 31.2) - (4.0 - 0.04)).abs() < 1e-9);
+    }
 
     /// At S₀ and the zenith half of the signals are reflections, σ² = 1 + ½·0.25 + 16. At 20 dB
     /// above S₀ the noise is 0.4 m.

@@ -37,6 +37,7 @@ use code_noise::CodeNoise;
 use error_memory::ErrorMemory;
 use noise_scale::NoiseScale;
 use repeated_rates::RepeatedRates;
+pub(super) use vertical_speed::VerticalPrior;
 use vertical_speed::VerticalSpeed;
 
 pub(super) use code_noise::{
@@ -146,9 +147,9 @@ impl ReceiverModel {
         self.clocks.phase_against_code(interval_s)
     }
 
-    /// Standard deviation of the vertical velocity of one epoch, `spacing_s` after the last (m/s).
-    pub(super) fn vertical_sigma_m_s(&self, spacing_s: f64) -> f64 {
-        self.vertical.sigma_m_s(spacing_s)
+    /// The prior of one epoch's vertical velocity, `spacing_s` after the last.
+    pub(super) fn vertical_prior(&self, spacing_s: f64) -> VerticalPrior {
+        self.vertical.prior(spacing_s)
     }
 
     /// Whether the newest Doppler of a measurement's signal repeats the value before.

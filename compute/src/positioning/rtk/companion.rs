@@ -23,6 +23,11 @@ use super::answer::horizontal_m2;
 /// at 8 m then has odds of e⁻¹⁰; at lower odds the comparison does not move a settled chain either.
 const TIED_M: f64 = 1.8;
 
+/// Standard deviation of the difference between the frame of a base and that of broadcast
+/// ephemerides, for each axis (m). Frames that are tied to a continent move with it: the ETRS89
+/// by 2.5 cm a year, 0.9 m since 1989.
+const FRAME_M: f64 = 1.0;
+
 /// The last epoch with integers.
 #[derive(Debug)]
 struct Anchor {
@@ -85,6 +90,15 @@ impl Companion {
             }
             None => self.anchor = Some(Anchor { epoch: epoch.clone(), position, covariance }),
         }
+    }
+
+    /// The last epoch with integers, if no epoch without integers followed it, and its position in
+    /// the frame of broadcast ephemerides.
+    pub(crate) fn last_fixed(&self) -> Option<(&Epoch, KnownPosition)> {
+        let anchor = self.anchor.as_ref()?;
+        let known = anchor.known();
+        let sigma_m = known.sigma_m.map(|sigma_m| sigma_m.hypot(FRAME_M));
+        Some((&anchor.epoch, KnownPosition { sigma_m, ..known }))
     }
 
     /// Forgets every position, because the base is another one or has moved.

@@ -12,6 +12,7 @@ use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution,
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::VELOCITY;
+use crate::positioning::fgo::KnownPosition;
 use crate::positioning::setup::Setup;
 use crate::positioning::starts::FRAME_LIMIT_M;
 use crate::snapshot::{Snapshot, state_fields};
@@ -42,6 +43,15 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
 
     /// A solver before its first epoch.
     fn new() -> Self;
+
+    /// Begins the estimator without a base at the last position with integers.
+    fn begin_alone(
+        _alone: &mut Self::Alone,
+        _known: &KnownPosition,
+        _inputs: &EpochInputs<'_>,
+        _scratch: &mut <Self::Alone as Engine>::Scratch,
+    ) {
+    }
 
     /// An empty list of past epochs; it keeps epochs only if `revises`.
     fn past(revises: bool) -> Self::Past;
@@ -233,8 +243,13 @@ impl<S: RelativeSolver> Engine for Relative<S> {
                 self.accompany(solution, inputs, scratch)
             }
             Err(reason) => {
-                let fresh = || Box::new(S::Alone::new(inputs.setup, false));
-                let alone = self.alone.get_or_insert_with(fresh);
+                let alone = match &mut self.alone {
+                    Some(alone) => alone,
+                    None => {
+                        let begun = self.begun_alone(inputs, scratch);
+                        self.alone.insert(begun)
+                    }
+                };
                 let mut solution = alone.advance(inputs, &mut scratch.alone, &mut Vec::new());
                 solution.reasons.extend(changed.into_iter().chain([reason]));
                 solution
@@ -282,10 +297,15 @@ impl<S: RelativeSolver> Relative<S> {
         let arcs = &mut self.solver.tracking().arcs;
         arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
         let base = self.base.usable(inputs, single_point)?;
-        let guess = self.locate(inputs, scratch, revisions)?;
-        let rover = position(self.solver.frame(), &guess);
+        let mut guess = self.locate(inputs, scratch, revisions)?;
+        let mut rover = position(self.solver.frame(), &guess);
+        self.base.difference(inputs, rover, base.station, &mut scratch.intake.differences)?;
+        if self.solver.last_time().is_some() && scratch.intake.refutes(rover) {
+            guess = self.begin(inputs, own_start(inputs, scratch)?, scratch, revisions);
+            rover = position(self.solver.frame(), &guess);
+            self.base.difference(inputs, rover, base.station, &mut scratch.intake.differences)?;
+        }
         let Intake { differences, slipped, .. } = &mut scratch.intake;
-        self.base.difference(inputs, rover, base.station, differences)?;
         let arcs = &mut self.solver.tracking().arcs;
         arcs.end_flipped(&differences.list, slipped);
         arcs.follow_code_clock(&mut differences.list);
@@ -300,7 +320,8 @@ impl<S: RelativeSolver> Relative<S> {
         Ok(Differenced { guess, base, reasons })
     }
 
-    /// The approximate state of the rover. Restarts the solver if it cannot predict one.
+    /// The approximate state of the rover. Restarts the solver if it cannot predict one, or if all
+    /// arcs have ended: the prediction is then worse than the epoch's own position.
     fn locate(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -309,12 +330,13 @@ impl<S: RelativeSolver> Relative<S> {
     ) -> Result<State, Reason> {
         let (time, options) = (inputs.epoch.time, inputs.options());
         let (mut start, move_m) = (None, self.move_m.take());
+        let longest_s = options.graph.gap_s.min(options.rtk.arc_gap_s);
         if let Some(last) = self.solver.last_time() {
             let mut guess = self.solver.predicted(time);
             let is_near = guess.fixed_rows::<3>(0).norm() < FRAME_LIMIT_M;
             if options.rtk.single_epoch {
                 start = Some((position(self.solver.frame(), &guess), State::zeros()));
-            } else if time - last <= options.graph.gap_s && is_near {
+            } else if time - last <= longest_s && is_near {
                 let Some(move_m) = move_m else { return Ok(guess) };
                 let mut local = guess.fixed_rows_mut::<3>(0);
                 local += move_m;
@@ -323,22 +345,40 @@ impl<S: RelativeSolver> Relative<S> {
                 start = Some((from, guess));
             }
         }
-        let (start, guess) = match start {
-            Some(start) => start,
-            None => {
-                let alone = scratch.intake.single_point.solve(inputs, None);
-                let estimate = alone.estimate.ok_or(Reason::NotConverged)?;
-                let mut guess = State::zeros();
-                if let Some(velocity) = &estimate.velocity {
-                    let local = LocalFrame::at(estimate.position).rotation * velocity.velocity_m_s;
-                    guess.fixed_rows_mut::<3>(VELOCITY).copy_from(&local);
-                }
-                (estimate.position, guess)
-            }
-        };
+        let start = start.map_or_else(|| own_start(inputs, scratch), Ok)?;
+        Ok(self.begin(inputs, start, scratch, revisions))
+    }
+
+    /// Restarts the solver at a position with an approximate state, which it returns.
+    fn begin(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        (start, guess): (Ecef, State),
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> State {
         self.solver.answer_all(inputs.setup, &mut self.past, &mut scratch.solver, revisions);
         self.solver.begin(start, &guess);
-        Ok(guess)
+        guess
+    }
+
+    /// An estimator without a base. It goes on from the last epoch, if that had integers: phases
+    /// that were not interrupted keep the position while a correction stream is.
+    fn begun_alone(
+        &self,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut RelativeScratch<S>,
+    ) -> Box<S::Alone> {
+        let mut alone = Box::new(S::Alone::new(inputs.setup, false));
+        let last = self.companion.as_ref().and_then(|companion| companion.last_fixed());
+        let longest_s = inputs.options().graph.gap_s;
+        if let Some((epoch, known)) = last
+            && inputs.epoch.time - epoch.time <= longest_s
+        {
+            let then = EpochInputs { epoch, base: None, ..*inputs };
+            S::begin_alone(&mut alone, &known, &then, &mut scratch.alone);
+        }
+        alone
     }
 
     /// Solves and answers a differenced epoch.
@@ -419,6 +459,21 @@ impl<S: RelativeSolver> Relative<S> {
         let judged = Judged { epoch, state: &resolved.state, differences };
         self.move_m = self.watch.reconsider(&judged, rows);
     }
+}
+
+/// The epoch's own position, and a state there with its own velocity.
+fn own_start<S: RelativeSolver>(
+    inputs: &EpochInputs<'_>,
+    scratch: &mut RelativeScratch<S>,
+) -> Result<(Ecef, State), Reason> {
+    let alone = scratch.intake.single_point.solve(inputs, None);
+    let estimate = alone.estimate.ok_or(Reason::NotConverged)?;
+    let mut guess = State::zeros();
+    if let Some(velocity) = &estimate.velocity {
+        let local = LocalFrame::at(estimate.position).rotation * velocity.velocity_m_s;
+        guess.fixed_rows_mut::<3>(VELOCITY).copy_from(&local);
+    }
+    Ok((estimate.position, guess))
 }
 
 /// The ECEF position of a state.

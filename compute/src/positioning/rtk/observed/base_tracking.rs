@@ -4,11 +4,15 @@
 //! epochs.
 
 use crate::gnss::{BaseStation, Ecef, GpsTime, Reason, SatelliteId};
+use crate::models::geometric_range;
 use crate::positioning::BasePositionVerdict;
 use crate::positioning::aiding::TAG_SLACK_S;
-use crate::positioning::differencing::{BaseSide, SignalLevels, SingleDifferences};
+use crate::positioning::differencing::{
+    BaseSide, CommonSatellite, SignalLevels, SingleDifferences,
+};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::spp::SinglePoint;
+use crate::positioning::starts::are_refuting;
 use crate::snapshot::state_fields;
 
 use super::base::BaseMemory;
@@ -48,6 +52,20 @@ pub(crate) struct Intake {
     pub(crate) differences: SingleDifferences,
     /// Satellites whose arcs ended at this epoch.
     pub(crate) slipped: Vec<SatelliteId>,
+    residuals_m: Vec<f64>,
+}
+
+impl Intake {
+    /// Whether the rover's pseudoranges of the epoch that was differenced refute a position.
+    pub(crate) fn refutes(&mut self, rover: Ecef) -> bool {
+        let Self { differences, residuals_m, .. } = self;
+        residuals_m.clear();
+        let miss_m = |common: &CommonSatellite| {
+            common.rover_range_m - geometric_range(common.state.position, rover).0
+        };
+        residuals_m.extend(differences.satellites.iter().map(miss_m));
+        are_refuting(residuals_m)
+    }
 }
 
 /// The base, and the time of the newest answered epoch.

@@ -8,7 +8,7 @@ use crate::config::{PositioningOptions, RtkOptions};
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
 use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
 use crate::positioning::engine::EpochInputs;
-use crate::positioning::fgo::SlidingWindow;
+use crate::positioning::fgo::{KnownPosition, SlidingWindow, WindowScratch};
 use crate::positioning::rtk::ambiguity::{FloatSolution, IntegerSearch};
 use crate::positioning::rtk::observed::{
     AmbiguityTie, Flip, RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, State, half_cycle_step,
@@ -57,6 +57,15 @@ impl RelativeSolver for Chain {
 
     fn new() -> Self {
         Self::empty()
+    }
+
+    fn begin_alone(
+        alone: &mut SlidingWindow,
+        known: &KnownPosition,
+        inputs: &EpochInputs<'_>,
+        scratch: &mut WindowScratch,
+    ) {
+        alone.begin_at(known, inputs, scratch);
     }
 
     fn past(revises: bool) -> Option<History> {
