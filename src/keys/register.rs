@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::fmt;
+use std::mem::replace;
 use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard};
 
@@ -49,7 +50,8 @@ struct Holder {
     noted_unix_ms: AtomicI64,
 }
 
-/// Whether a key is in force. It changes only once.
+/// Whether a key is in force. A revocation is final. An expiry is not: a clock that was ahead for a
+/// moment must not end keys for ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     InForce,
@@ -91,7 +93,7 @@ impl Register {
     /// Makes requests need a key from now on.
     pub(super) fn close(&self) {
         if !self.is_closed.swap(true, Ordering::AcqRel) {
-            self.anybody.end(State::Expired);
+            self.anybody.revoke();
         }
     }
 
@@ -113,7 +115,7 @@ impl Register {
             let noted = last_used_unix_ms.unwrap_or(0);
             holder.noted_unix_ms.fetch_max(noted, Ordering::AcqRel);
             if revoked_unix_ms.is_some() {
-                holder.end(State::Revoked);
+                holder.revoke();
             }
         }
         drop(holders);
@@ -143,9 +145,9 @@ impl Register {
         self.read().by_id.get(id).cloned().map(Pass)
     }
 
-    /// Ends the keys that have expired.
-    pub(super) fn expire(&self, unix_ms: i64) {
-        self.read().by_hash.values().for_each(|holder| holder.expire(unix_ms));
+    /// Ends the keys that have expired at this time, and puts those in force that have not.
+    pub(super) fn follow_clock(&self, unix_ms: i64) {
+        self.read().by_hash.values().for_each(|holder| holder.follow_clock(unix_ms));
     }
 
     /// The last uses that are not stored yet.
@@ -183,21 +185,17 @@ impl Holder {
         }
     }
 
-    /// Ends the key, unless it has already ended.
-    fn end(&self, state: State) {
-        self.state.send_if_modified(|present| {
-            let is_in_force = *present == State::InForce;
-            if is_in_force {
-                *present = state;
-            }
-            is_in_force
-        });
+    fn revoke(&self) {
+        self.state.send_if_modified(|state| replace(state, State::Revoked) != State::Revoked);
     }
 
-    fn expire(&self, unix_ms: i64) {
-        if self.expires_unix_ms.load(Ordering::Acquire) <= unix_ms {
-            self.end(State::Expired);
-        }
+    /// Expired or in force, as of this time, unless it is revoked.
+    fn follow_clock(&self, unix_ms: i64) {
+        let is_expired = self.expires_unix_ms.load(Ordering::Acquire) <= unix_ms;
+        let state = if is_expired { State::Expired } else { State::InForce };
+        self.state.send_if_modified(|present| {
+            *present != State::Revoked && replace(present, state) != state
+        });
     }
 
     /// The last use, if it is not stored yet.
@@ -248,7 +246,7 @@ impl Pass {
     /// # Errors
     /// As for [`Self::check`].
     pub(super) fn check_at(&self, unix_ms: i64) -> Result<(), KeyError> {
-        self.0.expire(unix_ms);
+        self.0.follow_clock(unix_ms);
         self.check()?;
         self.0.last_used_unix_ms.fetch_max(unix_ms, Ordering::Relaxed);
         Ok(())
@@ -330,12 +328,26 @@ mod tests {
         register.take(vec![row(&secret, 1, Some(1000))]);
         let pass = register.find(Some(secret.text()), 999).unwrap();
         let mut ended = Box::pin(pass.ended());
-        register.expire(999);
+        register.follow_clock(999);
         assert!(ended.as_mut().now_or_never().is_none());
-        register.expire(1000);
+        register.follow_clock(1000);
         assert_eq!(ended.now_or_never().unwrap().code(), Code::KeyExpired);
         assert_eq!(refused(&register, Some(secret.text()), 1000), Code::KeyExpired);
         assert_eq!(refused(&register, None, 1000), Code::KeyRequired, "an ended key counts");
+    }
+
+    /// Open streams have ended, but the key is in force again.
+    #[test]
+    fn a_clock_that_was_ahead_for_a_moment_ends_no_key_for_ever() {
+        let (register, secret) = (Register::new(), Secret::random().unwrap());
+        register.take(vec![row(&secret, 1, Some(1000))]);
+        let pass = register.find(Some(secret.text()), 0).unwrap();
+        register.follow_clock(5000);
+        assert_eq!(pass.check().unwrap_err().code(), Code::KeyExpired);
+        register.follow_clock(10);
+        pass.check().unwrap();
+        register.follow_clock(5000);
+        register.find(Some(secret.text()), 20).unwrap().check().unwrap();
     }
 
     /// A revocation stays, in whatever order changes arrive.
@@ -351,7 +363,7 @@ mod tests {
         register.take(vec![shorter]);
         register.take(vec![first.clone()]);
         pass.check().unwrap();
-        register.expire(5000);
+        register.follow_clock(5000);
         assert_eq!(pass.check().unwrap_err().code(), Code::KeyExpired);
         let (register, secret) = (Register::new(), Secret::random().unwrap());
         let hash = secret::hash(secret.text()).unwrap();
