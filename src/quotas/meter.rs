@@ -69,7 +69,12 @@ impl Meter {
     }
 
     pub(super) fn set(&self, quotas: Quotas) {
-        self.lock().quotas = quotas;
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        if inner.quotas != quotas {
+            inner.quotas = quotas;
+            inner.epochs.count_anew(now_s);
+            inner.cpu_s.count_anew(now_s);
+        }
     }
 
     pub(super) fn set_stored(&self, stored: TenantUse) {
@@ -217,7 +222,7 @@ mod tests {
         };
         let none = Quotas::default();
         for (quotas, code, longest_s) in [
-            (Quotas { epochs_per_s: Some(10.0), ..none }, Code::EpochQuotaExceeded, 20),
+            (Quotas { epochs_per_s: Some(10.0), ..none }, Code::EpochQuotaExceeded, 90),
             (Quotas { cpu_s_per_minute: Some(30.0), ..none }, Code::CpuQuotaExceeded, 120),
             (Quotas { stored_bytes: Some(1000), ..none }, Code::StorageQuotaExceeded, 60),
         ] {

@@ -1,10 +1,16 @@
-//! The approximate use within a window of time that ends now.
+//! The approximate use within a window of time that ends now, and the use that is owed.
+//!
+//! What is owed grows with each use, and shrinks at the allowed rate. So who uses more at once than
+//! a window allows waits for as long as it takes at that rate (the leaky bucket).
 //!
 //! Two counts are kept: of the present window and of the previous one. Of the previous count, only
 //! the fraction is added that lies within one window length before now. For steady use the sum is
 //! the use within the last window length.
 
 use std::time::Duration;
+
+/// Longest delay that is stated (s).
+const DELAY_MAX_S: f64 = 600.0;
 
 /// Use within the last window. Times are seconds since any fixed instant.
 #[derive(Clone, Copy, Debug)]
@@ -13,11 +19,14 @@ pub(super) struct Window {
     begun_s: f64,
     present: f64,
     before: f64,
+    owed: f64,
+    owed_at_s: f64,
 }
 
 impl Window {
     pub(super) const fn new(length_s: f64) -> Self {
-        Self { length_s, begun_s: 0.0, present: 0.0, before: 0.0 }
+        let (present, before, owed) = (0.0, 0.0, 0.0);
+        Self { length_s, begun_s: 0.0, present, before, owed, owed_at_s: 0.0 }
     }
 
     /// Begins the next window if the present one is over.
@@ -35,6 +44,14 @@ impl Window {
     pub(super) fn add(&mut self, amount: f64, now_s: f64) {
         self.turn(now_s);
         self.present += amount;
+        self.owed += amount;
+    }
+
+    /// Begins to count what is owed with the use of the last window, because another use is allowed
+    /// from now on.
+    pub(super) fn count_anew(&mut self, now_s: f64) {
+        self.owed = self.used(now_s);
+        self.owed_at_s = now_s;
     }
 
     /// The use within the last window length.
@@ -44,21 +61,19 @@ impl Window {
         self.present + self.before * (1.0 - elapsed)
     }
 
-    /// The time until the use is below `allowed`, if nothing is added; zero if it is so now.
+    /// The time until use is allowed again, `allowed` in each window, if nothing is added; zero if
+    /// it is allowed now.
     pub(super) fn delay(&mut self, allowed: f64, now_s: f64) -> Duration {
-        if self.used(now_s) < allowed {
+        let rate = allowed / self.length_s;
+        self.owed = (self.owed - rate * (now_s - self.owed_at_s)).max(0.0);
+        self.owed_at_s = now_s;
+        if self.owed < allowed {
             return Duration::ZERO;
         }
-        let elapsed_s = now_s - self.begun_s;
-        let delay_s = match self.present {
-            // Nothing is allowed.
-            0.0 => 2.0 * self.length_s,
-            present if present < allowed => {
-                self.length_s * (1.0 - (allowed - present) / self.before) - elapsed_s
-            }
-            present => self.length_s * (2.0 - allowed / present) - elapsed_s,
-        };
-        Duration::from_secs_f64(delay_s.clamp(0.001, 2.0 * self.length_s))
+        let delay_s = (self.owed - allowed) / rate;
+        // Where nothing is allowed, 0/0 is not a number.
+        let delay_s = if delay_s.is_finite() { delay_s } else { DELAY_MAX_S };
+        Duration::from_secs_f64(delay_s.clamp(0.001, DELAY_MAX_S))
     }
 }
 
@@ -81,22 +96,35 @@ mod tests {
         assert_eq!(window.used(125.0), 0.0);
     }
 
-    /// After the delay, and not before it, the use is below the allowed one.
+    /// After the delay, and not before it, use is allowed again.
     #[test]
     fn the_delay_is_that_until_use_is_allowed() {
-        for (amount, now_s) in [(30.0, 3.0), (1000.0, 3.0), (30.0, 12.0)] {
+        for amount in [30.0, 1000.0] {
             let mut window = Window::new(10.0);
             window.add(amount, 2.0);
-            window.add(5.0, now_s);
-            let delay_s = window.delay(20.0, now_s).as_secs_f64();
-            assert!(0.0 < delay_s && delay_s < 20.0, "{delay_s}");
-            assert!(window.clone().used(now_s + delay_s - 0.01) >= 20.0, "{amount} {now_s}");
-            assert!(window.used(now_s + delay_s + 0.01) < 20.0, "{amount} {now_s}");
-            assert_eq!(window.delay(1e9, now_s + 1.0), Duration::ZERO);
+            // 20 are allowed in 10 s, and 4 are gone before this.
+            let delay_s = window.delay(20.0, 2.0).as_secs_f64();
+            assert!((delay_s - (amount - 24.0) / 2.0).abs() < 1e-9, "{delay_s}");
+            assert!(!window.clone().delay(20.0, 2.0 + delay_s - 0.01).is_zero());
+            assert!(window.delay(20.0, 2.0 + delay_s + 0.01).is_zero());
         }
         let mut unused = Window::new(10.0);
-        assert_eq!(unused.delay(0.0, 1.0), Duration::from_secs(20));
-        unused.add(1.0, 1.0);
-        assert!(Duration::from_secs(15) < unused.delay(0.0, 12.0));
+        assert_eq!(unused.delay(0.0, 1.0), Duration::from_secs(600));
+    }
+
+    /// 1 a second is allowed. 100 at a time, whenever they are allowed, are 1 a second in the mean.
+    #[test]
+    fn large_uses_at_once_are_not_more_than_the_rate() {
+        let (mut window, mut used) = (Window::new(10.0), 0.0);
+        for second in 0..10_000 {
+            if window.delay(10.0, f64::from(second)).is_zero() {
+                window.add(100.0, f64::from(second));
+                used += 100.0;
+            }
+        }
+        assert!((9_900.0..=10_200.0).contains(&used), "{used}");
+        assert!(!window.delay(10.0, 10_000.0).is_zero());
+        window.count_anew(10_030.0);
+        assert!(window.delay(10.0, 10_030.0).is_zero());
     }
 }
