@@ -1,11 +1,14 @@
 //! The lease of a database: one service writes to it.
 //!
-//! On SQLite it is a lock on the file `DATABASE.lock`, which ends with the process. On Postgres it
-//! is an advisory lock of the committer's connection, so that no other service can commit; see
-//! `committer::link`. Both name the holder.
+//! On SQLite it is a lock on the file `DATABASE.lock`, which ends with the process. `DATABASE` is
+//! the file to which symbolic links lead. A file with a second hard link is refused: each name
+//! would have a lock, and a write-ahead log, of its own. On Postgres it is an advisory lock of the
+//! committer's connection, so that no other service can commit; see `committer::link`. Both name
+//! the holder.
 
 use std::fs::{File, OpenOptions, TryLockError};
-use std::io::{Read, Seek, Write};
+use std::io::{ErrorKind, Read, Seek, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::PoisonError;
@@ -24,12 +27,16 @@ impl FileLease {
     /// # Errors
     /// Another service has locked the file, or it cannot be written.
     pub(super) fn take(database: &Path, node: &str) -> Result<Self, StoreError> {
-        let mut name = database.as_os_str().to_owned();
+        let lease = |path: &Path, why: &dyn std::fmt::Display| StoreError::Lease {
+            why: format!("{}: {why}", path.display()),
+        };
+        let mut name = target(database).map_err(|error| lease(database, &error))?.into_os_string();
+        if std::fs::metadata(&name).is_ok_and(|file| 1 < file.nlink()) {
+            return Err(lease(database, &"the file has another name, by a hard link"));
+        }
         name.push(".lock");
         let path = PathBuf::from(name);
-        let failed = |error: std::io::Error| StoreError::Lease {
-            why: format!("{}: {error}", path.display()),
-        };
+        let failed = |error: std::io::Error| lease(&path, &error);
         let mut options = OpenOptions::new();
         options.read(true).write(true).create(true).truncate(false);
         let mut file = options.open(&path).map_err(failed)?;
@@ -64,9 +71,48 @@ impl Drop for FileLease {
     }
 }
 
+/// The file to which a path leads, also before it exists.
+fn target(path: &Path) -> std::io::Result<PathBuf> {
+    match path.canonicalize() {
+        Err(error) if error.kind() == ErrorKind::NotFound => match path.read_link() {
+            Ok(next) => target(&path.parent().unwrap_or("".as_ref()).join(next)),
+            Err(_) => Ok(path.to_owned()),
+        },
+        found => found,
+    }
+}
+
 #[cfg(test)]
 mod tests {
+    use std::os::unix::fs::symlink;
+
     use super::*;
+
+    /// Before the database exists, and after.
+    #[test]
+    fn a_database_has_one_lease_by_all_of_its_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let [database, link, far, hard] =
+            ["graphfix.db", "link.db", "far.db", "hard.db"].map(|name| folder.path().join(name));
+        symlink("graphfix.db", &link).unwrap();
+        symlink(&link, &far).unwrap();
+        for exists in [false, true] {
+            if exists {
+                std::fs::write(&database, "").unwrap();
+            }
+            let lease = FileLease::take(&far, "first").unwrap();
+            for name in [&database, &link, &far] {
+                let refused = FileLease::take(name, "second").unwrap_err();
+                assert!(matches!(refused, StoreError::InUse { .. }), "{exists} {refused:?}");
+            }
+            drop(lease);
+        }
+        std::fs::hard_link(&database, &hard).unwrap();
+        for name in [&hard, &far] {
+            let refused = FileLease::take(name, "first").unwrap_err().to_string();
+            assert!(refused.ends_with("the file has another name, by a hard link"), "{refused}");
+        }
+    }
 
     #[test]
     fn a_lease_has_one_holder_who_is_named() {
