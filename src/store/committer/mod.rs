@@ -338,9 +338,11 @@ impl<C: Connect> Running<C> {
     /// Checks an idle connection.
     async fn probe(&mut self) {
         let Some(link) = &mut self.link else { return };
-        match within(self.timing.deadline, self.connector.probe(link, false)).await {
-            Ok(()) => self.confirm(),
-            Err(error) => self.fail(&error),
+        let probing = within(self.timing.deadline, self.connector.probe(link, false));
+        match AssertUnwindSafe(probing).catch_unwind().await {
+            Ok(Ok(())) => self.confirm(),
+            Ok(Err(error)) => self.fail(&error),
+            Err(panic) => self.fail(&panicked(&*panic, &self.health)),
         }
     }
 

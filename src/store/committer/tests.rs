@@ -22,6 +22,7 @@ enum Next {
 struct Shared {
     next: Mutex<Vec<Next>>,
     is_down: AtomicBool,
+    probe_panics: AtomicBool,
     written: Mutex<Vec<i64>>,
     /// Number of batches of each transaction.
     sizes: Mutex<Vec<usize>>,
@@ -44,6 +45,7 @@ impl Connect for Fake {
 
     async fn probe(&self, link: &mut bool, _: bool) -> Result<(), sqlx::Error> {
         assert!(*link, "a failed connection is used again");
+        assert!(!self.0.probe_panics.swap(false, Ordering::SeqCst), "on purpose");
         Ok(())
     }
 
@@ -111,6 +113,22 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
     assert_eq!(*shared.written.lock().unwrap(), [0, 1, 2, 3]);
     assert_eq!(shared.connections.load(Ordering::SeqCst), 5);
     assert_eq!(committer.health().panics, 1);
+}
+
+/// A panic while an idle connection is checked costs this connection only.
+#[tokio::test]
+async fn a_probe_that_panics_does_not_end_the_committer() {
+    let (committer, shared) = started().await;
+    shared.probe_panics.store(true, Ordering::SeqCst);
+    let opened_again = async {
+        while shared.connections.load(Ordering::SeqCst) < 2 {
+            sleep(Duration::from_millis(1)).await;
+        }
+    };
+    timeout(Duration::from_secs(5), opened_again).await.unwrap();
+    committer.working().await.unwrap();
+    committer.commit(batch(1)).await.unwrap();
+    assert_eq!((committer.health().panics, committer.health().failures), (1, 1));
 }
 
 /// Batches 2 ms apart are in two transactions, but are in one soon after a transaction of several.
