@@ -1,9 +1,11 @@
 //! The task of one stream: requests it, decodes it, pushes its data, and requests it again.
 
 use std::collections::VecDeque;
+use std::panic::AssertUnwindSafe;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
+use futures::FutureExt;
 use tokio::sync::watch;
 use tokio::time::{Instant, interval, sleep, timeout_at};
 
@@ -170,7 +172,7 @@ impl Stream {
         let mut lasting = Backoff::new(lasting_delay, lasting_ceiling);
         loop {
             let start = Instant::now();
-            let Some(error) = self.connect_and_listen().await else { return };
+            let Some(error) = self.until_it_ends().await else { return };
             let is_streaming = self.status.lock().state == FeedState::Streaming;
             if is_streaming && self.options.steady <= start.elapsed() {
                 passing.reset();
@@ -185,6 +187,21 @@ impl Stream {
             tokio::select! {
                 () = stopped(&mut self.stopped) => return,
                 () = sleep(delay) => {}
+            }
+        }
+    }
+
+    /// Runs one connection, like [`Self::connect_and_listen`]. A panic ends only this connection.
+    async fn until_it_ends(&mut self) -> Option<NtripError> {
+        match AssertUnwindSafe(self.connect_and_listen()).catch_unwind().await {
+            Ok(ended) => ended,
+            Err(panic) => {
+                let StreamRequest { caster, mountpoint, .. } = &self.request;
+                let text = panic.downcast_ref::<String>().map(String::as_str);
+                let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
+                let panic = text.unwrap_or("without a message");
+                tracing::error!(%caster, %mountpoint, panic, "the reader of a stream panicked");
+                Some(NtripError::Protocol { why: format!("its reader panicked: {panic}") })
             }
         }
     }
