@@ -23,6 +23,7 @@ use crate::tenant::Tenant;
 use crate::traces::Trace;
 
 use super::audit::{ADMINISTRATIVE, author_of};
+use super::places::Place;
 use super::{Lease, Refusal, Service};
 
 /// The sender of a request, and the service as the sender's tenant sees it.
@@ -174,20 +175,20 @@ impl Caller {
         self.service.file_reader().await
     }
 
-    /// The right to open another stream. The stream keeps the permit until it ends.
+    /// The place of another stream. The stream keeps it until it ends.
     ///
     /// # Errors
-    /// The limit of open streams is reached.
-    pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
-        self.service.stream_permit()
+    /// The limit of open streams is reached, in all or of the key.
+    pub(super) fn stream_place(&self) -> Result<Place, Refusal> {
+        self.service.stream_place(self.pass.key())
     }
 
-    /// The right to open another watch. The watch keeps the permit until it ends.
+    /// The place of another watch. The watch keeps it until it ends.
     ///
     /// # Errors
-    /// The limit of open watches is reached.
-    pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
-        self.service.watch_permit()
+    /// The limit of open watches is reached, in all or of the key.
+    pub(super) fn watch_place(&self) -> Result<Place, Refusal> {
+        self.service.watch_place(self.pass.key())
     }
 
     /// Whether the service is about to stop.

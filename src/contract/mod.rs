@@ -20,6 +20,7 @@ mod metrics;
 pub(crate) mod nodes;
 mod observation;
 mod origin;
+mod places;
 mod presenter;
 mod readiness;
 pub(crate) mod reason;

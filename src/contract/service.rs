@@ -16,6 +16,7 @@ use crate::tls::ServerTls;
 use crate::traces::Tracer;
 
 use super::nodes::Nodes;
+use super::places::{Place, Places};
 use super::refused_acts::RefusedActs;
 use super::{Budget, Refusal, RequestMeters, WebOrigins};
 
@@ -67,10 +68,10 @@ struct Desks {
     nodes: Option<Nodes>,
     /// Begins traces; `None` if there is no collector.
     tracer: Option<Tracer>,
-    /// Limits the open streams.
-    streams: Arc<Semaphore>,
-    /// Limits the open watches.
-    watches: Arc<Semaphore>,
+    /// Places of open streams.
+    streams: Places,
+    /// Places of open watches.
+    watches: Places,
 }
 
 impl Service {
@@ -85,8 +86,8 @@ impl Service {
         limits: Limits,
     ) -> Self {
         let budget = Budget::new(limits.request_memory_bytes, limits.intake());
-        let permits = |most: usize| Arc::new(Semaphore::new(most.min(Semaphore::MAX_PERMITS)));
-        let (streams, watches) = (permits(limits.streams), permits(limits.watches));
+        let streams = Places::new(limits.streams, limits.streams_per_key);
+        let watches = Places::new(limits.watches, limits.watches_per_key);
         Self(Arc::new(Desks {
             sessions,
             aiding,
@@ -218,11 +219,7 @@ impl Service {
 
     /// Number of open streams, and of open watches.
     pub(super) fn open_streams(&self) -> (usize, usize) {
-        let open = |most: usize, free: &Semaphore| {
-            most.min(Semaphore::MAX_PERMITS).saturating_sub(free.available_permits())
-        };
-        let Desks { limits, streams, watches, .. } = &*self.0;
-        (open(limits.streams, streams), open(limits.watches, watches))
+        (self.0.streams.taken(), self.0.watches.taken())
     }
 
     /// Waits until another uploaded file may be read. The caller keeps the permit while it reads.
@@ -231,26 +228,22 @@ impl Service {
         permit.expect("the semaphore is never closed")
     }
 
-    /// The right to open another stream. The stream keeps the permit until it ends.
+    /// The place of another stream of the holder of a key. The stream keeps it until it ends.
     ///
     /// # Errors
-    /// The limit of open streams is reached.
-    pub(super) fn stream_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
-        self.0.streams.clone().try_acquire_owned().map_err(|_| {
-            let message = format!("{} streams are open, as many as allowed", self.limits().streams);
-            Refusal::new(Code::TooManyStreams, message)
-        })
+    /// The limit of open streams is reached, in all or of the key.
+    pub(super) fn stream_place(&self, key: Option<&str>) -> Result<Place, Refusal> {
+        let taken = self.0.streams.take(key);
+        taken.map_err(|full| Refusal::new(Code::TooManyStreams, full.message("streams")))
     }
 
-    /// The right to open another watch. The watch keeps the permit until it ends.
+    /// The place of another watch of the holder of a key. The watch keeps it until it ends.
     ///
     /// # Errors
-    /// The limit of open watches is reached.
-    pub(super) fn watch_permit(&self) -> Result<OwnedSemaphorePermit, Refusal> {
-        self.0.watches.clone().try_acquire_owned().map_err(|_| {
-            let message = format!("{} watches are open, as many as allowed", self.limits().watches);
-            Refusal::new(Code::TooManyWatches, message)
-        })
+    /// The limit of open watches is reached, in all or of the key.
+    pub(super) fn watch_place(&self, key: Option<&str>) -> Result<Place, Refusal> {
+        let taken = self.0.watches.take(key);
+        taken.map_err(|full| Refusal::new(Code::TooManyWatches, full.message("watches")))
     }
 
     /// The desk for sessions.

@@ -54,6 +54,8 @@ pub struct Limits {
     pub waiting_epochs: usize,
     /// Streams that are open.
     pub streams: usize,
+    /// Streams of one key that are open.
+    pub streams_per_key: usize,
     /// Epochs, or chunks of raw bytes, that may be on their way on one stream.
     pub stream_epochs: usize,
     /// Bytes of messages that may be on their way on one stream.
@@ -62,6 +64,8 @@ pub struct Limits {
     pub stream_idle_s: u64,
     /// Watches that are open.
     pub watches: usize,
+    /// Watches of one key that are open.
+    pub watches_per_key: usize,
     /// Newly committed solutions in memory for those who watch; who is further behind reads the
     /// database.
     pub live_solutions: usize,
@@ -121,10 +125,12 @@ impl Limits {
             mailbox_epochs: 2048,
             waiting_epochs: 32_768,
             streams: 16_384,
+            streams_per_key: 12_288,
             stream_epochs: 256,
             stream_bytes: 512 << 10,
             stream_idle_s: 300,
             watches: 1024,
+            watches_per_key: 768,
             live_solutions: 4096,
             ephemerides_per_satellite: 480,
             bases: 64,
@@ -166,10 +172,12 @@ impl Limits {
             ("mailbox_epochs", self.mailbox_epochs),
             ("waiting_epochs", self.waiting_epochs),
             ("streams", self.streams),
+            ("streams_per_key", self.streams_per_key),
             ("stream_epochs", self.stream_epochs),
             ("stream_bytes", self.stream_bytes),
             ("stream_idle_s", self.stream_idle_s as usize),
             ("watches", self.watches),
+            ("watches_per_key", self.watches_per_key),
             ("live_solutions", self.live_solutions),
             ("ephemerides_per_satellite", self.ephemerides_per_satellite),
             ("bases", self.bases),

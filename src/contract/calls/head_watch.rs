@@ -9,10 +9,10 @@ use std::hash::{Hash, Hasher};
 use std::time::Duration;
 
 use futures::Stream;
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, sleep};
 
 use crate::clock::gps_time;
+use crate::contract::places::Place;
 use crate::contract::{Caller, Lease, Refusal, v1};
 use crate::session::SessionError;
 use crate::store::{Page, SessionFilter, SessionHead, StoreError};
@@ -49,7 +49,7 @@ pub async fn watch(
     if caller.is_draining() {
         return Err(SessionError::Draining.into());
     }
-    let permit = caller.watch_permit()?;
+    let place = caller.watch_place()?;
     let lease = Lease::current();
     lease.as_ref().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
     let (outlet, reader) = outlet(caller);
@@ -64,7 +64,7 @@ pub async fn watch(
         sent_at: Instant::now(),
         outlet,
     };
-    Ok(reader.read(watching.run(permit)))
+    Ok(reader.read(watching.run(place)))
 }
 
 /// The task of a watch.
@@ -96,7 +96,7 @@ struct Sent {
 
 impl Watching {
     /// Sends heads until the reader disconnects.
-    async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
+    async fn run(mut self, _place: Place) -> Result<(), Refusal> {
         let mut drained = Box::pin(self.caller.drained());
         loop {
             let begun = Instant::now();

@@ -6,9 +6,10 @@
 use std::time::Duration;
 
 use futures::Stream;
-use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep, sleep_until};
 
+use crate::contract::places::Place;
 use crate::contract::{Caller, Lease, Refusal, v1};
 use crate::jobs::{JobError, JobId};
 
@@ -36,11 +37,11 @@ pub async fn watch(
     if caller.is_draining() {
         return Err(JobError::Draining.into());
     }
-    let permit = caller.watch_permit()?;
+    let place = caller.watch_place()?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
     caller.jobs().get(&id).await?;
     let (outlet, reader) = outlet(caller);
-    Ok(reader.read(run(caller.clone(), id, outlet, permit)))
+    Ok(reader.read(run(caller.clone(), id, outlet, place)))
 }
 
 /// Sends the job until it has ended or the reader disconnects.
@@ -48,7 +49,7 @@ async fn run(
     caller: Caller,
     id: JobId,
     outlet: Outlet<v1::Job>,
-    _permit: OwnedSemaphorePermit,
+    _place: Place,
 ) -> Result<(), Refusal> {
     let mut drained = Box::pin(caller.drained());
     let mut changes = caller.jobs().changes();

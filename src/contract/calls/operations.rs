@@ -118,7 +118,7 @@ pub async fn wait(
 ) -> Result<Operation, Refusal> {
     let (id, jobs) = (named(name)?, caller.jobs());
     let until = Instant::now() + timeout.unwrap_or(WAIT_MAX).min(WAIT_MAX);
-    let _permit = caller.watch_permit()?;
+    let _place = caller.watch_place()?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(WAIT_BYTES))?;
     let mut drained = pin!(caller.drained());
     let (mut changes, mut is_over) = (jobs.changes(), caller.is_draining());

@@ -6,10 +6,10 @@
 use std::time::Duration;
 
 use futures::Stream;
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::timeout;
 
 use crate::config::OutputOptions;
+use crate::contract::places::Place;
 use crate::contract::{Caller, Lease, Refusal, convert, v1};
 use crate::refusal::Code;
 use crate::session::{SessionError, SessionId, Watch, WatchCursor, WatchEvent, WatchPage};
@@ -52,7 +52,7 @@ pub async fn watch(
     if caller.is_draining() {
         return Err(SessionError::Draining.into());
     }
-    let permit = caller.watch_permit()?;
+    let place = caller.watch_place()?;
     Lease::current().map_or(Ok(()), |lease| lease.reserve(WATCH_BYTES))?;
     let (watch, now) = caller.sessions().watch(&id).await?;
     let cursor = start.unwrap_or(now);
@@ -66,7 +66,7 @@ pub async fn watch(
     let output = OutputOptions::as_computed();
     let watching =
         Watching { caller, id, watch, cursor, with_revisions, oldest_available, output, outlet };
-    Ok(reader.read(watching.run(permit)))
+    Ok(reader.read(watching.run(place)))
 }
 
 /// The cursor from which a watch begins; `None` for the present.
@@ -115,7 +115,7 @@ struct Watching {
 
 impl Watching {
     /// Sends solutions until the session is closed or the reader disconnects.
-    async fn run(mut self, _permit: OwnedSemaphorePermit) -> Result<(), Refusal> {
+    async fn run(mut self, _place: Place) -> Result<(), Refusal> {
         let mut drained = Box::pin(self.caller.drained());
         self.send(Vec::new(), false).await?;
         let mut is_closed = self.catch_up().await?;

@@ -6,9 +6,9 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use futures::{Stream, StreamExt};
-use tokio::sync::OwnedSemaphorePermit;
 use tokio::time::{Instant, Sleep, sleep_until, timeout};
 
+use crate::contract::places::Place;
 use crate::contract::{Caller, Lease, Presenter, Refusal, v1};
 use crate::keys::{KeyError, Pass};
 use crate::refusal::{Class, Code};
@@ -131,7 +131,7 @@ pub(super) struct Flow<C: Carried, I, E> {
     timer: Pin<Box<Sleep>>,
     /// The lease of the request, which its log names.
     lease: Option<Lease>,
-    _permit: Option<OwnedSemaphorePermit>,
+    _place: Option<Place>,
 }
 
 impl<C, I, E> Flow<C, I, E>
@@ -169,7 +169,7 @@ where
             timer: Box::pin(sleep_until(now + KEEPALIVE)),
             caller: caller.clone(),
             lease,
-            _permit: None,
+            _place: None,
         };
         futures::stream::unfold(flow, |mut flow| async move {
             let next = match flow.lease.clone() {
@@ -218,7 +218,7 @@ where
             return Err(Refusal::from(SessionError::Draining).into());
         }
         let Opening { session, mut carried, after } = C::open(request)?;
-        self._permit = Some(self.caller.stream_permit()?);
+        self._place = Some(self.caller.stream_place()?);
         let info = self.caller.sessions().settled(&session).await.map_err(Refusal::from)?;
         if info.closed_unix_ms.is_some() {
             let closed = SessionError::Closed { id: session.to_string() };
