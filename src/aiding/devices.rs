@@ -1,7 +1,7 @@
 //! The navigation data of single devices, which serve their own sessions only, and those of
 //! tenants, which serve the sessions of the tenant only. Both are called devices here.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use crate::gnss::{Ephemeris, LeapSeconds, Navigation};
@@ -96,7 +96,8 @@ impl Devices {
         let mut ended = Vec::new();
         let present = self.devices.get(source).map_or(&[][..], |own| &own.order[..]);
         let surplus = (present.len() + added).saturating_sub(most);
-        let stays = |issued: &&Issue| !new.iter().any(|e| issue(e) == **issued);
+        let issues: BTreeSet<Issue> = new.iter().map(issue).collect();
+        let stays = |issued: &&Issue| !issues.contains(*issued);
         for oldest in present.iter().filter(stays).take(surplus) {
             ended.extend(self.get(source, oldest).map(|e| (source.clone(), e.clone())));
         }

@@ -24,6 +24,9 @@ pub struct NavigationPush {
     pub new: usize,
     /// Number of older ephemerides that were dropped because of the limit.
     pub dropped: usize,
+    /// Number of ephemerides of the push that are not in force for all sessions: there is no room
+    /// for them, or they contradict data of higher trust.
+    pub left_out: usize,
     /// Number of ephemerides in force after the push.
     pub in_force: usize,
 }
@@ -146,23 +149,27 @@ impl NavigationBroker {
         }
         let received = pushed.len();
         let is_known = self.read().knows(&pushed, source);
-        let mut counts =
-            NavigationPush { received, new: 0, dropped: 0, in_force: self.current_len() };
+        let mut counts = NavigationPush { received, new: 0, dropped: 0, left_out: 0, in_force: 0 };
+        counts.in_force = self.current_len();
         if is_known {
             return Ok(counts);
         }
         let turn = self.pushing.clone().lock_owned().await;
-        let (broker, source) = (self.clone(), source.into());
+        let (broker, source, pushed) = (self.clone(), source.into(), Arc::new(pushed));
+        let content = pushed.clone();
         // In its own task: stored data must get into the memory, even if the caller has gone.
-        let pushing = tokio::spawn(async move { broker.push_in_turn(turn, &pushed, source).await });
+        let pushing =
+            tokio::spawn(async move { broker.push_in_turn(turn, &content, source).await });
         let (new, dropped) = pushing.await.unwrap_or(Err(StoreError::Closed.into()))?;
         counts.new = new;
         counts.dropped = dropped;
+        counts.left_out = self.read().shared.missing(&pushed);
         counts.in_force = self.current_len();
         Ok(counts)
     }
 
-    /// Stores the new data of a push. Returns the numbers of new and of dropped ephemerides.
+    /// Stores the new data of a push, in steps. Returns the numbers of new and of dropped
+    /// ephemerides. After a failure, a repetition goes on where it failed.
     async fn push_in_turn(
         &self,
         mut turn: OwnedMutexGuard<Pushing>,
@@ -178,7 +185,7 @@ impl NavigationBroker {
         for _ in 0..ATTEMPTS {
             let parts = self.read().parts(pushed, &source, limit, unix_ms());
             let mut continues = true;
-            for part in parts {
+            for part in parts.into_iter().flat_map(Part::steps) {
                 let counts = (part.new.len(), part.ended.len() + part.ended_owned.len());
                 continues = self.commit(part, &mut turn.room).await?;
                 if !continues {

@@ -91,6 +91,12 @@ impl Shared {
         list.iter().find(|other| issue(other) == issue(ephemeris))
     }
 
+    /// Number of these ephemerides that are not in force.
+    pub(super) fn missing(&self, navigation: &Navigation) -> usize {
+        let all = navigation.satellites().flat_map(|(_, list)| list);
+        all.filter(|ephemeris| self.same_issue(ephemeris).is_none()).count()
+    }
+
     /// The trust in an ephemeris that is in force.
     pub(super) fn trust_in(&self, ephemeris: &Ephemeris) -> Trust {
         self.rank(&issue(ephemeris)).map_or(Trust::Operator, |rank| trust(&rank.source))
@@ -126,8 +132,8 @@ impl Shared {
     }
 
     /// Makes room for `new`, with at most `limit` ephemerides for each satellite. Removes from
-    /// `new` those for which there is no room. Data that are not the operator's end only others of
-    /// their kind that are older than a day. Returns the ended ones.
+    /// `new` those for which there is no room, the oldest first. Data that are not the operator's
+    /// end only others of their kind that are older than a day. Returns the ended ones.
     pub(super) fn make_room(
         &self,
         new: &mut Navigation,
@@ -143,7 +149,7 @@ impl Shared {
             };
             let mut old = present.iter().filter(is_old);
             let mut free = limit.saturating_sub(present.len());
-            for ephemeris in list.iter().filter(|e| self.same_issue(e).is_none()) {
+            for ephemeris in list.iter().rev().filter(|e| self.same_issue(e).is_none()) {
                 if free == 0 {
                     match old.next() {
                         None => without_room.push(issue(ephemeris)),

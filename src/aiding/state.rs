@@ -40,6 +40,37 @@ pub(super) struct Part {
     pub(super) ended_coefficients: Vec<(Arc<str>, Navigation)>,
 }
 
+/// Ephemerides of one transaction: it then takes some tens of milliseconds, for which commits of
+/// epochs wait.
+const OF_TRANSACTION: usize = 500;
+
+impl Part {
+    /// The same as several parts of a size for one transaction each. The first one has the
+    /// coefficients, and ends the shared data.
+    pub(super) fn steps(self) -> Vec<Self> {
+        let Self { source, mut new, ended, ended_owned, ended_coefficients } = self;
+        let list: Vec<Ephemeris> =
+            new.satellites().flat_map(|(_, list)| list.iter().cloned()).collect();
+        new.retain(|_| false);
+        let mut first = Some((new, ended, ended_coefficients));
+        let (mut list, mut ended_owned) = (list.into_iter(), ended_owned.into_iter());
+        let mut steps = Vec::new();
+        while 0 < list.len() + ended_owned.len() || first.is_some() {
+            let (mut new, ended, ended_coefficients) = first.take().unwrap_or_default();
+            new.insert_all(list.by_ref().take(OF_TRANSACTION));
+            let ended_owned = ended_owned.by_ref().take(OF_TRANSACTION).collect();
+            steps.push(Self {
+                source: source.clone(),
+                new,
+                ended,
+                ended_owned,
+                ended_coefficients,
+            });
+        }
+        steps
+    }
+}
+
 impl State {
     /// The state from the stored data.
     pub(super) fn of(stored: StoredNavigation) -> Self {

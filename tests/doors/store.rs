@@ -31,6 +31,7 @@ on_both_databases!(
     a_schema_that_cannot_be_migrated_is_refused,
     navigation_survives_a_restart,
     old_ephemerides_make_room,
+    an_upload_gets_the_room_that_is_left,
     coverage_is_told,
 );
 
@@ -381,6 +382,24 @@ async fn old_ephemerides_make_room(database: Database) {
     assert_eq!(error.code().name(), "TOO_MANY_EPHEMERIDES");
     let restarted = NavigationBroker::open(database.store().await, limits).await.unwrap();
     assert_eq!(held(&restarted.current().navigation), [time(0), time(14_400)]);
+}
+
+/// An upload ends nothing that is newer than a day. Of its ephemerides the newest get the room that
+/// is left, and the others are counted.
+async fn an_upload_gets_the_room_that_is_left(database: Database) {
+    let limits = AidingLimits { ephemerides_per_satellite: 2, ..AidingLimits::service() };
+    let broker = NavigationBroker::open(database.store().await, limits).await.unwrap();
+    let push = async |toes: &[u64]| {
+        let pushed = navigation(toes.iter().map(|toe| ephemeris("G05", *toe, 0)));
+        broker.push(pushed, "upload").await.unwrap()
+    };
+    assert_eq!(push(&[0]).await.left_out, 0);
+    let counts = push(&[7_200, 14_400]).await;
+    assert_eq!((counts.new, counts.left_out, counts.in_force), (1, 1, 2));
+    let current = broker.current().navigation;
+    let held: Vec<GpsTime> =
+        current.of("G05".parse().unwrap()).iter().map(Ephemeris::toe).collect();
+    assert_eq!(held, [time(0), time(14_400)]);
 }
 
 async fn coverage_is_told(database: Database) {

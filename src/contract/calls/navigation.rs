@@ -38,9 +38,18 @@ async fn pushed(
         }
     };
     let upload = read_file(caller, most * MEMORY_OF_NUMBER, read).await?;
-    let skipped = upload.skipped(&upload.content.1);
+    let mut skipped = upload.skipped(&upload.content.1);
     let (navigation, _) = upload.content;
     let counts = caller.navigation().push(navigation).await?;
+    if 0 < counts.left_out {
+        skipped.push(v1::Skipped {
+            what: "ephemerides that contradict data of higher trust, or for which the satellite \
+                   has no room (limits.ephemerides_per_satellite)"
+                .to_owned(),
+            count: counts.left_out as u64,
+            first_line: 0,
+        });
+    }
     let change = format!("{} ephemerides, {} of them new", counts.received, counts.new);
     caller.note("Navigation.Push", change).await?;
     Ok(v1::PushNavigationResponse {
