@@ -54,7 +54,8 @@ impl Balancer {
              upstream nodes {{ hash $http_x_graphfix_session consistent; {servers} }}\n\
              server {{ listen 127.0.0.1:{port} http2;\n\
              location / {{ grpc_pass grpc://nodes; grpc_set_header Host localhost;\n\
-             grpc_connect_timeout 1s; grpc_read_timeout 60s; client_max_body_size 64m; }} }} }}\n"
+             grpc_connect_timeout 1s; grpc_read_timeout 60s; client_max_body_size 0;\n\
+             client_body_timeout 1h; grpc_send_timeout 1h; }} }} }}\n"
         );
         Self::start("nginx", &text, port, |command, file| {
             command.arg("-p").arg(file.parent().unwrap()).arg("-c").arg(file);
