@@ -94,6 +94,7 @@ pub async fn open(
     let aiding = AidingDesk::open_with(store.clone(), aiding_limits(limits), catalogue).await?;
     let aiding = aiding.with_geoid(geoid.clone());
     let sessions = Sessions::open(store.clone(), aiding.clone(), session_limits(limits));
+    sessions.count_time().await;
     let cluster = Cluster::open(&store, &aiding).await?;
     let feeds = Feeds::open(connector.clone(), aiding.clone(), feed_options);
     match &cluster {

@@ -80,6 +80,20 @@ impl DatabaseArgument {
         Ok(Store::open_beside(&self.url()?, &app::random_node()).await?)
     }
 
+    /// The same for a database that must exist.
+    ///
+    /// # Errors
+    /// As for [`Self::open`], or there is no such file.
+    pub(super) async fn open_existing(&self) -> Result<Store, Failure> {
+        match Store::file_of(&self.url()?)? {
+            Some(file) if !file.exists() => {
+                let message = format!("{}: there is no such database", file.display());
+                Err(Failure::of(Code::FileNotReadable, message))
+            }
+            _ => self.open().await,
+        }
+    }
+
     /// Replaces the database of the configuration file by this one, if one is given.
     pub(super) fn choose(self, configuration: &mut ServiceConfiguration) {
         if let Some(url) = self.url {

@@ -106,7 +106,11 @@ fn hours() -> clap::builder::RangedI64ValueParser<u32> {
 pub(super) fn run(arguments: KeysArguments) -> Result<(), Failure> {
     let shows_secret = matches!(arguments.act, Act::Create { .. } | Act::Rotate { .. });
     let text = host::block_on(async {
-        let store = arguments.database.open().await?;
+        // The first key may come before the service's first start.
+        let store = match arguments.act {
+            Act::Create { .. } => arguments.database.open().await?,
+            _ => arguments.database.open_existing().await?,
+        };
         let done = act(&store, arguments.act).await;
         store.close().await;
         Ok(done?)

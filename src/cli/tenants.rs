@@ -65,7 +65,10 @@ fn number(text: &str) -> Result<f64, String> {
 /// The database cannot be opened, or the store fails.
 pub(super) fn run(arguments: TenantsArguments) -> Result<(), Failure> {
     let text = host::block_on(async {
-        let store = arguments.database.open().await?;
+        let store = match arguments.act {
+            Act::Set { .. } => arguments.database.open().await?,
+            Act::List => arguments.database.open_existing().await?,
+        };
         let done = async {
             let tenants = TenantQuotas::open(store.clone(), Meters::default()).await?;
             let done = act(&tenants, arguments.act).await;

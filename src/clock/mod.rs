@@ -77,11 +77,6 @@ impl Clock {
             None => BEGUN.elapsed().as_millis() as i64,
         }
     }
-
-    /// The day now, since 1970-01-01 UTC.
-    pub fn day(&self) -> i64 {
-        day_of(self.unix_ms())
-    }
 }
 
 /// The day of a time (ms since 1970-01-01 UTC), as a number of days since 1970-01-01 UTC.

@@ -126,6 +126,9 @@ impl Service {
         if let Some(free) = store.free_bytes() {
             page.bytes("database_disk_free", "Space left on the database's disk", free);
         }
+        if let Some(free) = self.jobs().free_bytes() {
+            page.bytes("jobs_disk_free", "Space left on the disk of the jobs' files", free);
+        }
     }
 
     fn write_requests(&self, page: &mut Page) {

@@ -99,13 +99,21 @@ impl Service {
             problems.extend(read_problem(store).await);
         }
         let clock = self.sessions().clock_ahead().map(clock_warning);
+        let clock = clock.or_else(|| self.sessions().clock_behind().map(late_clock_warning));
+        let job_disk = self.jobs().free_bytes().filter(|free| *free < needed);
         let retry_after = (!problems.is_empty()).then(|| spread(RETRY_AFTER));
         Readiness {
             node: self.node().to_owned(),
             ready: problems.is_empty(),
             retry_after_ms: retry_after.map(|delay| delay.as_millis() as u64),
             problems,
-            warnings: clock.into_iter().chain(growth_warning(store)).collect(),
+            warnings: clock
+                .into_iter()
+                .chain(growth_warning(store))
+                .chain(job_disk.map(|free| {
+                    format!("the disk of the jobs' files has {free} bytes left of {needed} needed")
+                }))
+                .collect(),
             draining,
             database: database(store, &health, free_bytes),
             cluster: self.nodes().map(|nodes| cluster(&nodes.cluster, store)),
@@ -150,6 +158,14 @@ fn clock_warning(ahead: Duration) -> String {
     format!(
         "the clock is {days:.1} days ahead of what is stored; check it. Epochs are kept for longer \
          by as much until a device sends present ones"
+    )
+}
+
+fn late_clock_warning(behind: Duration) -> String {
+    let days = behind.as_secs_f64() / 86_400.0;
+    format!(
+        "the clock is {days:.1} days behind what is stored; set it. Until then what arrives is \
+         stored with the time of the last expiry"
     )
 }
 

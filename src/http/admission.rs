@@ -262,6 +262,10 @@ fn foreign_origin<'a>(
     uri: &Uri,
     headers: &'a HeaderMap,
 ) -> Result<Option<&'a str>, Refusal> {
+    if 1 < headers.get_all(header::HOST).iter().count() {
+        let message = "the request names more than one host".to_owned();
+        return Err(Refusal::new(Code::HostRefused, message));
+    }
     let host = host(uri, headers);
     if let Some(host) = host.filter(|host| !is_own(service, host)) {
         let message = format!("the request names the host {:?}", brief(host));

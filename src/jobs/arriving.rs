@@ -140,7 +140,7 @@ impl ArrivingFile {
 
 impl Drop for Leftover {
     fn drop(&mut self) {
-        // Err: the file was moved to its hash.
+        // If it is stored, it has the name of its hash, too. Err: there is nothing to remove.
         fs::remove_file(&self.path).ok();
         self.files.release(self.bytes);
         self.allowance.give_back(self.taken);

@@ -103,6 +103,11 @@ impl Jobs {
         Ok(Self { desk, tasks: Arc::new(Mutex::new(tasks)), tenant: Tenant::operator() })
     }
 
+    /// Bytes that the disk of the folder has left; `None` without a folder, or if unknown.
+    pub(crate) fn free_bytes(&self) -> Option<u64> {
+        self.desk.files().ok()?.free_bytes()
+    }
+
     /// The desk for the jobs of a tenant.
     #[must_use]
     pub fn of(&self, tenant: &Tenant) -> Self {
@@ -300,7 +305,7 @@ impl Jobs {
 
     /// The time of the desk (ms since 1970-01-01 UTC).
     pub fn unix_ms(&self) -> i64 {
-        self.desk.clock.unix_ms()
+        self.desk.arrival_time()
     }
 
     /// Time for which a job is kept after its end (ms).

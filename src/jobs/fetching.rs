@@ -101,7 +101,7 @@ async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
         Ok(None) => return, // Cancelled, or fetched again after the next start.
         Err(failure) => {
             let failure = serde_json::to_string(&failure).expect("texts are JSON");
-            desk.store.fail_unfetched_job(key, &failure, desk.clock.unix_ms()).await
+            desk.store.fail_unfetched_job(key, &failure, desk.arrival_time()).await
         }
     };
     // Err: its inputs will be fetched again.

@@ -116,7 +116,7 @@ async fn end_claim(
     loop {
         let ending = async {
             match store.beat_job(claim, running.progress(), running.cpu()).await? {
-                true => store.end_job(claim, end, desk.clock.unix_ms()).await,
+                true => store.end_job(claim, end, desk.arrival_time()).await,
                 false => Ok(false),
             }
         };
@@ -228,8 +228,9 @@ pub(super) async fn count(desk: Arc<Desk>) {
 /// The store or the disk fails.
 pub(super) async fn remove_expired(desk: &Desk) -> Result<(), JobError> {
     let kept = i64::from(desk.limits.keep_hours) * MS_PER_HOUR;
-    desk.store.delete_jobs(desk.clock.unix_ms() - kept).await?;
-    desk.store.delete_expired_uploads(desk.clock.unix_ms()).await?;
+    let now = desk.store.expiry_time(desk.clock.unix_ms());
+    desk.store.delete_jobs(now - kept).await?;
+    desk.store.delete_expired_uploads(now).await?;
     let Some(files) = desk.files.clone() else { return Ok(()) };
     let named = Named::read(&desk.store).await?;
     files.remove_old(&named).await

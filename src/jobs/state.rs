@@ -133,6 +133,11 @@ impl Desk {
         }
     }
 
+    /// The time to store for what happens now (ms since 1970-01-01 UTC).
+    pub(super) fn arrival_time(&self) -> i64 {
+        self.store.arrival_time(self.clock.unix_ms())
+    }
+
     /// The files of jobs.
     ///
     /// # Errors

@@ -224,7 +224,7 @@ impl Appending {
         if self.upload.offset == self.upload.length && self.upload.hash.is_none() {
             let files = self.desk.files()?;
             let path = files.arriving(self.upload.id.as_str());
-            let hashed = path.clone();
+            let (arrived, hashed) = (path.clone(), path.clone());
             let hashing = spawn_blocking(move || {
                 let mut hasher = blake3::Hasher::new();
                 hasher.update_reader(std::fs::File::open(hashed)?)?;
@@ -237,6 +237,9 @@ impl Appending {
                 files.release(self.upload.length); // Equal files are one.
             }
             self.desk.store.complete_upload(self.upload.id.as_str(), &stored.hash).await?;
+            // Only now: until then the bytes that have arrived are those of this file. Err: it is
+            // removed as an old one.
+            tokio::fs::remove_file(arrived).await.ok();
             self.upload.hash = Some(stored.hash.clone());
         }
         Ok(self.upload)

@@ -95,7 +95,8 @@ impl Sessions {
         // Removed first, so that no message follows the message that closes.
         let handle = self.tasks().handles.remove(id).ok_or(SessionError::Draining)?;
         let (reply, answer) = oneshot::channel();
-        let last = Message::Close { unix_ms: self.unix_ms(), entry, reply };
+        let unix_ms = self.store().arrival_time(self.unix_ms());
+        let last = Message::Close { unix_ms, entry, reply };
         handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
         drop(handle);
         answer.await.unwrap_or(Err(SessionError::Interrupted))

@@ -224,6 +224,11 @@ impl Sessions {
         if self.post(id, message, epochs)? { Ok(()) } else { Err(SessionError::Interrupted) }
     }
 
+    /// Counts the time by which ages are counted until now.
+    pub(crate) async fn count_time(&self) {
+        self.desk.expiry.count().await;
+    }
+
     /// Refuses new epochs, and waits until the accepted ones are positioned and stored.
     pub async fn drain(&self) {
         let mut running = {
@@ -235,6 +240,7 @@ impl Sessions {
             mem::take(&mut tasks.running)
         };
         while running.join_next().await.is_some() {}
+        self.count_time().await;
         self.desk.removal.lock().unwrap_or_else(PoisonError::into_inner).abort_all();
     }
 

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use crate::clock::MS_PER_DAY;
 use crate::store::{Bounds, Page, SessionFilter, SessionHead, SolutionQuery, StoreError};
 
 use super::configuration::output;
@@ -89,5 +90,12 @@ impl Sessions {
     /// than a day. Epochs are kept longer by this time.
     pub fn clock_ahead(&self) -> Option<Duration> {
         self.expiry().clock_ahead()
+    }
+
+    /// Time by which the system clock is behind the time by which ages are counted, if it is more
+    /// than a day. What arrives has the counted time.
+    pub fn clock_behind(&self) -> Option<Duration> {
+        let behind_ms = self.store().clock_behind_ms(self.unix_ms());
+        (MS_PER_DAY < behind_ms).then(|| Duration::from_millis(behind_ms as u64))
     }
 }

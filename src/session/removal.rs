@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
 use tokio::sync::Notify;
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout};
 
 use crate::clock::{Clock, MS_PER_DAY, day_of};
 use crate::store::{Store, StoreError};
@@ -20,6 +20,8 @@ const ENTRIES_PER_STEP: usize = 500;
 /// Pause between transactions, so that those of others come in between.
 const PAUSE: Duration = Duration::from_millis(20);
 const RETRY: Duration = Duration::from_secs(10);
+/// Longest time of a count of the time at the begin and the end of the service.
+const COUNT_PATIENCE: Duration = Duration::from_secs(1);
 /// Interval of the removal of epochs that are older than their retention, which is in days.
 const EXPIRY_INTERVAL: Duration = Duration::from_secs(3_600);
 /// Interval of checks whether this node leads its cluster.
@@ -28,12 +30,16 @@ const LEAD_INTERVAL: Duration = Duration::from_secs(5);
 /// run (ms).
 const STEP_MS: i64 = MS_PER_DAY;
 
-/// Removes the rows of deleted sessions at the start, and whenever it is woken.
+/// Interval at which deleted sessions are looked for, whose node may have ended before it has
+/// removed their rows.
+const LOOK_INTERVAL: Duration = Duration::from_secs(60);
+
+/// Removes the rows of deleted sessions at the start, once a minute, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
     loop {
         match store.remove_deleted(EPOCHS_PER_STEP).await {
             Ok(true) => sleep(PAUSE).await,
-            Ok(false) => deleted.notified().await,
+            Ok(false) => drop(timeout(LOOK_INTERVAL, deleted.notified()).await),
             Err(error) => {
                 tracing::warn!(%error, "deleted sessions still take space");
                 sleep(RETRY).await;
@@ -70,6 +76,8 @@ impl Expiry {
     pub(super) async fn remove_hourly(self: Arc<Self>) {
         loop {
             if !self.store.is_leader() {
+                // The leader counts this time.
+                *self.counted_ms.lock().await = self.clock.elapsed_ms();
                 sleep(LEAD_INTERVAL).await;
                 continue;
             }
@@ -80,6 +88,18 @@ impl Expiry {
                     sleep(RETRY).await;
                 }
             }
+        }
+    }
+
+    /// Counts the time until now, at the begin and at the end of the service. If that takes long,
+    /// or fails, what is stored expires a little later.
+    pub(super) async fn count(&self) {
+        let counting = async {
+            let mut counted_ms = self.counted_ms.lock().await;
+            self.today(&mut counted_ms).await
+        };
+        if self.store.is_leader() {
+            drop(timeout(COUNT_PATIENCE, counting).await);
         }
     }
 

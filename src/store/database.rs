@@ -34,6 +34,43 @@ const POSTGRES_SETTINGS: [(&str, &str); 4] = [
 pub(super) const POSTGRES_DURABLE: &str = "SELECT set_config('synchronous_commit', 'on', false) \
     WHERE current_setting('synchronous_commit') = 'off'";
 
+/// Parameters of a Postgres URL, without those named `options[…]`. Another name would be ignored,
+/// and a mistyped `sslmode` would leave out the check of the server's certificate.
+const POSTGRES_PARAMETERS: [&str; 18] = [
+    "sslmode",
+    "ssl-mode",
+    "sslrootcert",
+    "ssl-root-cert",
+    "ssl-ca",
+    "sslcert",
+    "ssl-cert",
+    "sslkey",
+    "ssl-key",
+    "statement-cache-capacity",
+    "host",
+    "hostaddr",
+    "port",
+    "dbname",
+    "user",
+    "password",
+    "application_name",
+    "options",
+];
+
+/// Checks the names of the parameters of a Postgres URL, which begins after `://`.
+fn check_parameters(address: &str) -> Result<(), String> {
+    let Some((_, query)) = address.split_once('?') else { return Ok(()) };
+    let mut names = query.split(['&', '#']).map(|part| part.split('=').next().unwrap_or(part));
+    let is_known = |name: &str| {
+        let is_option = name.starts_with("options[") || name.starts_with("options%5B");
+        name.is_empty() || is_option || POSTGRES_PARAMETERS.contains(&name)
+    };
+    match names.find(|name| !is_known(name)) {
+        Some(name) => Err(format!("it has no parameter {name:?}")),
+        None => Ok(()),
+    }
+}
+
 /// The database of a URL.
 #[derive(Clone)]
 pub(super) enum Database {
@@ -73,7 +110,8 @@ impl Database {
                     .pragma("wal_autocheckpoint", CHECKPOINT_PAGES);
                 Ok(Self::Sqlite(options))
             }
-            Some(("postgres" | "postgresql", _)) => {
+            Some(("postgres" | "postgresql", address)) => {
+                check_parameters(address).map_err(invalid)?;
                 let options = PgConnectOptions::from_str(url)
                     .map_err(|error| invalid(error.to_string()))?
                     .options(POSTGRES_SETTINGS)
@@ -189,13 +227,18 @@ mod tests {
         for url in ["sqlite://graphfix.db", "sqlite://a/vfs=b.db?mode=rwc&cache=private"] {
             assert!(matches!(Database::parse(url), Ok(Database::Sqlite(_))), "{url}");
         }
-        assert!(matches!(Database::parse("postgres://host/db"), Ok(Database::Postgres(_))));
+        for parameters in ["", "?sslmode=verify-full&sslrootcert=/ca.pem", "?options[jit]=off"] {
+            let url = format!("postgres://user:a%3Fb@host/db{parameters}");
+            assert!(matches!(Database::parse(&url), Ok(Database::Postgres(_))), "{url}");
+        }
         for (url, why) in [
             ("sqlite://", "no file"),
             ("sqlite://graphfix.db?mode=memory", "no file"),
             ("sqlite://graphfix.db?mode=rw&vfs=unix-none", "vfs"),
             ("mysql://host/db", "not a supported database"),
             ("graphfix.db", "no \"://\""),
+            ("postgres://host/db?user=a&sslmod=verify-full", "no parameter \"sslmod\""),
+            ("postgres://host/db?sslmode=verify", "unknown value \"verify\""),
         ] {
             let refused = Database::parse(url).err().expect(url).to_string();
             assert!(refused.contains(why), "{url}: {refused}");

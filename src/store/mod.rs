@@ -117,6 +117,7 @@ use database::Database;
 pub use days::Arrival;
 use days::Days;
 use deadline::DEADLINE;
+use expiry_clock::Counted;
 use lease::FileLease;
 use pool::{Pool, reading};
 use session_rows::JoinedRows;
@@ -138,11 +139,18 @@ pub struct Store {
     file: Option<Arc<Path>>,
     lease: Option<Arc<FileLease>>,
     days: Arc<Days>,
+    counted: Arc<Counted>,
     /// This service as a node of a cluster.
     member: Option<Arc<Member>>,
     /// Name of the node.
     node: Arc<str>,
     secrets: Arc<Secrets>,
+}
+
+/// Bytes that the disk of a folder has left; `None` if unknown.
+pub(crate) fn disk_free_bytes(folder: &Path) -> Option<u64> {
+    let disk = rustix::fs::statvfs(folder).ok()?;
+    Some(disk.f_bavail.saturating_mul(disk.f_frsize))
 }
 
 impl Store {
@@ -205,7 +213,7 @@ impl Store {
         let lease = lease.map(Arc::new);
         let node = node.unwrap_or_default().into();
         let postgres = pool.postgres();
-        Ok(Self {
+        let store = Self {
             rows: postgres.map(JoinedRows::of),
             states: postgres.map(JoinedStates::of),
             pool,
@@ -217,10 +225,13 @@ impl Store {
             file,
             lease,
             days,
+            counted: Arc::default(),
             member,
             node,
             secrets: Arc::default(),
-        })
+        };
+        store.read_expiry_clock().await?;
+        Ok(store)
     }
 
     /// Opens the database of `url` for changes that a service reads from the database, such as
@@ -239,6 +250,14 @@ impl Store {
             Self::open_alone(url, node).await?.close().await;
         }
         Ok(Self::without_committer(&database))
+    }
+
+    /// The file of the database of `url`; `None` for a server.
+    ///
+    /// # Errors
+    /// The URL is invalid.
+    pub fn file_of(url: &str) -> Result<Option<PathBuf>, StoreError> {
+        Ok(Database::parse(url)?.file())
     }
 
     /// Opens an existing database of a service, to write rows that belong to the caller alone, such
@@ -283,6 +302,7 @@ impl Store {
             file,
             lease,
             days,
+            counted: Arc::default(),
             member,
             node,
             secrets: Arc::default(),
@@ -346,8 +366,7 @@ impl Store {
 
     /// Bytes that the disk of the database file has left; `None` for a server, or if unknown.
     pub(crate) fn free_bytes(&self) -> Option<u64> {
-        let disk = rustix::fs::statvfs(&**self.folder.as_ref()?).ok()?;
-        Some(disk.f_bavail.saturating_mul(disk.f_frsize))
+        disk_free_bytes(self.folder.as_ref()?)
     }
 
     /// The database file; `None` for a server.

@@ -60,10 +60,13 @@ const TO_REMOVE: [&str; 2] = [
          OR EXISTS (SELECT 1 FROM rollups m WHERE m.session = h.session AND m.seconds = 60))"
     ),
 ];
-/// Marks epochs as removed. `stored_bytes` shrinks in proportion to the number of epochs.
+/// Marks epochs as removed. `stored_bytes` shrinks in proportion to the numbers of the epochs,
+/// which need not begin at 1.
 const MARK: &str = "UPDATE session_heads SET removed_through = $2, stored_bytes = \
     CASE WHEN last_seq > $2 THEN CAST(stored_bytes * (1.0 * (last_seq - $2) \
-    / (last_seq - COALESCE(removed_through, 0))) AS BIGINT) ELSE 0 END \
+    / (last_seq - COALESCE(removed_through, \
+    (SELECT MIN(seq) - 1 FROM epochs WHERE epochs.session = session_heads.session), 0))) \
+    AS BIGINT) ELSE 0 END \
     WHERE session = $1 AND (removed_through IS NULL OR removed_through < $2)";
 /// Number of the last epoch that a step removes.
 const LAST_OF_STEP: &str = "SELECT seq FROM epochs WHERE session = $1 AND seq <= $2 \

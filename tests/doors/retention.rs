@@ -21,6 +21,7 @@ on_both_databases!(
     a_session_has_its_own_retention,
     a_closed_session_expires,
     a_step_of_the_clock_removes_nothing,
+    what_a_slow_clock_closes_is_kept,
     a_replay_needs_a_readable_snapshot,
     a_restore_finds_epochs_of_earlier_days,
     a_restore_finds_epochs_after_a_change_of_the_retention,
@@ -367,9 +368,35 @@ async fn a_step_of_the_clock_removes_nothing(database: Database) {
     assert!(2 * PER_DAY < oldest().await.unwrap());
 }
 
-/// A session's state is stored on one day, and the clock is then set three days back. On Postgres a
-/// restore reads only the partitions since the state was stored. So the state is stored again with
-/// the first epochs of the earlier day, and a restore after the clock is right again finds all.
+/// A clock that is half a year behind for a while, as of a machine without a battery, costs nothing
+/// of a session that is closed meanwhile.
+async fn what_a_slow_clock_closes_is_kept(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    let [before, meanwhile] = [sessions.create(new_session()), sessions.create(new_session())];
+    let (before, meanwhile) = (before.await.unwrap().id, meanwhile.await.unwrap().id);
+    let epochs = || (1..=40).map(|seq| epoch(seq, seq as f64)).collect();
+    sessions.submit(&before, epochs()).await.unwrap();
+    sessions.remove_expired().await.unwrap();
+    store.close().await;
+    clock.step(START - 180 * MS_PER_DAY);
+    let store = database.store().await;
+    let sessions = desk(&store, &clock).await;
+    sessions.submit(&meanwhile, epochs()).await.unwrap();
+    for id in [&before, &meanwhile] {
+        sessions.close(id).await.unwrap();
+    }
+    sessions.remove_expired().await.unwrap();
+    for (days, left) in [(0, 80), (2, 80), (3, 0)] {
+        clock.set(START + days * MS_PER_DAY);
+        sessions.remove_expired().await.unwrap();
+        assert_eq!(database.count("epochs").await, left, "after {days} days");
+    }
+}
+
+/// A session's state is stored on one day, and the clock is then set three days back. What arrives
+/// then is of the day by which ages are counted, so that it is not removed three days too early.
+/// On Postgres a restore reads only the partitions since the state was stored, and finds all.
 async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
     // Ten days after the epochs, which may not be of the future.
     let now = START + 10 * MS_PER_DAY;
@@ -387,6 +414,7 @@ async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
         Sessions::open_at(store.clone(), aiding.clone(), limits, clock.clone())
     };
     let sessions = desk();
+    sessions.remove_expired().await.unwrap();
     // With a retention, a state is stored on each new day anyway.
     let retention_days = Some(0);
     let session = NewSession { mode: "ekf".to_owned(), retention_days, ..new_session() };
@@ -394,7 +422,7 @@ async fn a_restore_finds_epochs_of_earlier_days(database: Database) {
     // With a retention of 90 days, three days have a partition.
     let since = |day: i64| format!("snapshots WHERE since_day = {}", day - day % 3);
     let today = now / MS_PER_DAY;
-    for (days_back, count, stored_back) in [(0, 300, 0), (3, 2, 3), (3, 2, 3), (0, 2, 3)] {
+    for (days_back, count, stored_back) in [(0, 300, 0), (3, 2, 0), (3, 2, 0), (0, 2, 0)] {
         clock.step(now - days_back * MS_PER_DAY);
         let pushed = epochs.by_ref().take(count).collect();
         let submitted = sessions.submit(&id, pushed).await.unwrap();

@@ -34,14 +34,14 @@ async fn a_slow_disk_is_refused_and_served_again() {
     service.finish().await;
 }
 
-/// The clock steps by 20 years back: epochs then lie in the future and are refused one by one.
-/// Steps of hours or a day refuse no epoch.
+/// The clock steps by 20 years back, and by hours and a day: no epoch is refused.
 async fn a_clock_that_steps_loses_nothing(database: Database) {
     let mut service = Failing::start(&database.url).await;
     service.push(1).await.unwrap();
-    service.set("clock -630720000");
-    assert_eq!(service.push(2).await, Err("TIME_IMPLAUSIBLE".to_owned()));
-    for (seq, clock) in [(2, "none"), (3, "clock 86400"), (4, "clock -7200"), (5, "none")] {
+    // Twenty years behind: what is stored tells that the clock is wrong, and that the epoch is not.
+    for (seq, clock) in
+        [(2, "clock -630720000"), (3, "clock 86400"), (4, "clock -7200"), (5, "none")]
+    {
         service.set(clock);
         service.push(seq).await.unwrap();
         service.is_ready(200).await;

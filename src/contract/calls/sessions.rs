@@ -4,6 +4,7 @@ use std::mem;
 
 use crate::aiding::bases::BaseChoice;
 use crate::clock::gps_time;
+use crate::config::Mode;
 use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
 use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
@@ -93,6 +94,9 @@ pub(super) fn filter(
     order: i32,
 ) -> Result<SessionFilter, Refusal> {
     texts::check_names([("mode", &*mode), ("label", &*label)])?;
+    if !mode.is_empty() {
+        Mode::parse(&mode)?;
+    }
     let oldest_first = oldest_first(order)?;
     Ok(SessionFilter { is_closed: closed, mode, label, oldest_first })
 }

@@ -19,6 +19,7 @@ mod space;
 use std::collections::HashMap;
 use std::fs::{self, File};
 use std::io;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -29,6 +30,7 @@ use tokio::task::spawn_blocking;
 use uuid::Uuid;
 
 use crate::config::JobsConfiguration;
+use crate::store::disk_free_bytes;
 
 use super::JobError;
 use super::bucket::{Bucket, BucketError, Patience};
@@ -147,6 +149,11 @@ impl JobFiles {
         &self.folder
     }
 
+    /// Bytes that the folder's disk has left; `None` if unknown.
+    pub(super) fn free_bytes(&self) -> Option<u64> {
+        disk_free_bytes(&self.folder)
+    }
+
     /// The bucket, if the files are in one.
     pub(super) fn bucket(&self) -> Option<&Arc<Bucket>> {
         self.bucket.as_ref()
@@ -202,7 +209,8 @@ impl JobFiles {
         StoredFile { files: self.clone(), hash, bytes }
     }
 
-    /// Stores a file under the hash of its content. Returns whether no equal file was stored.
+    /// Stores a file under the hash of its content, too. Returns whether no equal file was stored.
+    /// The caller removes `from` once it is known elsewhere that the file is stored.
     ///
     /// # Errors
     /// The disk or the bucket fails.
@@ -219,17 +227,22 @@ impl JobFiles {
             let opened = File::open(&from).map_err(JobError::disk("reading an upload"))?;
             // Replaces an equal object, so that its age begins again.
             bucket.put(&name, (Arc::new(opened), bytes), Patience::Call).await?;
-            fs::remove_file(from).map_err(JobError::disk("removing an upload"))?;
             return Ok((stored, is_new));
         }
-        let path = self.input(&stored.hash);
-        let is_new = !path.exists();
-        // Replaces an equal file, so that its age begins again.
-        let folder = self.folder.join(INPUTS);
-        let storing = spawn_blocking(move || fs::rename(from, path).and_then(|()| sync(&folder)));
-        let renamed = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
-        renamed.map_err(JobError::disk("storing the file of an upload"))?;
-        Ok((stored, is_new))
+        let (path, folder) = (self.input(&stored.hash), self.folder.join(INPUTS));
+        let link = self.arriving(&Uuid::new_v4().simple().to_string());
+        let storing = spawn_blocking(move || {
+            let inode = fs::metadata(&from)?.ino();
+            // The same file if an earlier attempt to complete the upload has failed.
+            let is_new = fs::metadata(&path).map_or(true, |known| known.ino() == inode);
+            // Replaces an equal file, so that its age begins again.
+            fs::hard_link(&from, &link).and_then(|()| fs::rename(&link, &path))?;
+            // Err: it was moved, as the stored file was another one.
+            fs::remove_file(&link).ok();
+            sync(&folder).map(|()| is_new)
+        });
+        let is_new = storing.await.unwrap_or_else(|error| Err(io::Error::other(error)));
+        Ok((stored, is_new.map_err(JobError::disk("storing the file of an upload"))?))
     }
 
     /// A new file in the folder without a name.

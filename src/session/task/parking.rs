@@ -47,7 +47,12 @@ impl Task {
 
     /// The present day. The service's own retention divides the log, not that of a session.
     fn arrival(&self) -> Arrival {
-        Arrival::on(self.clock.day(), self.retention_days)
+        Arrival::on(day_of(self.arrival_ms()), self.retention_days)
+    }
+
+    /// The time at which what is stored now arrives (ms since 1970-01-01 UTC).
+    pub(super) fn arrival_ms(&self) -> i64 {
+        self.store.arrival_time(self.clock.unix_ms())
     }
 
     /// The rules for the next batch.
@@ -55,7 +60,7 @@ impl Task {
         let keeps_snapshot = self.keeps_snapshot(active);
         EpochRules {
             observations_max: self.observations_per_epoch,
-            now: gps_time(self.clock.unix_ms()),
+            now: gps_time(self.arrival_ms()),
             arrival: self.arrival(),
             future_s: self.future_s,
             replay_max: self.replay_max(),
@@ -68,7 +73,7 @@ impl Task {
     /// session's own, so that not all sessions store their states after midnight.
     pub(super) fn kept_day(&self) -> i64 {
         let begin_ms = (self.fraction() * MS_PER_DAY as f64) as i64;
-        day_of(self.clock.unix_ms() - begin_ms)
+        day_of(self.arrival_ms() - begin_ms)
     }
 
     /// Whether a snapshot would be the first of its day, and kept for replay.

@@ -68,7 +68,7 @@ impl Task {
         arrived: Chunk<'_>,
     ) -> Result<RawReceived, SessionError> {
         let Chunk { mut reception, chunk, known, permit } = arrived;
-        let now = self.clock.unix_ms();
+        let now = self.arrival_ms();
         reception.date(&chunk, now);
         let content = chunk.content.slice(known..);
         let channels = self.aiding.navigation.current_for(&self.device).navigation;
@@ -181,7 +181,7 @@ impl Task {
     /// begins after them.
     async fn reception(&self) -> Result<Reception, SessionError> {
         let Some(position) = self.store.raw_position(self.key).await? else {
-            return Ok(Reception::fresh(self.clock.unix_ms()));
+            return Ok(Reception::fresh(self.arrival_ms()));
         };
         let RawPosition { stream, header_end, tail, through, time, .. } = position;
         let whole = |parts: Vec<(u64, Vec<u8>)>| {
