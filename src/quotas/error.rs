@@ -22,10 +22,10 @@ pub enum QuotaError {
         retry_after: Duration,
     },
     /// The tenant sends as many epochs a second as its quota allows.
-    #[error("the tenant sends {used:.1} epochs a second, its quota is {limit}")]
+    #[error("the tenant has sent {beyond:.0} epochs beyond its quota of {limit} a second")]
     Epochs {
-        /// Epochs a second.
-        used: f64,
+        /// Epochs for which the quota has not made up.
+        beyond: f64,
         /// Epochs a second that are allowed.
         limit: f64,
         /// The delay until epochs are taken again.
@@ -33,11 +33,11 @@ pub enum QuotaError {
     },
     /// The tenant has used as much processor time of the solvers as its quota allows.
     #[error(
-        "the tenant has used {used:.1} s of processor time in a minute, its quota is {limit} s"
+        "the tenant has used {beyond:.1} s of processor time beyond its quota of {limit} s a minute"
     )]
     Cpu {
-        /// Time used within a minute (s).
-        used: f64,
+        /// Time for which the quota has not made up (s).
+        beyond: f64,
         /// Time allowed within a minute (s).
         limit: f64,
         /// The delay until solvers are used again.

@@ -7,7 +7,7 @@ use crate::store::TenantUse;
 use crate::tenant::{Quotas, Tenant};
 
 use super::QuotaError;
-use super::window::Window;
+use super::window::{Excess, Window};
 
 /// Time over which the rate of epochs is averaged (s). The epochs of this time may come at once.
 pub(super) const EPOCHS_WINDOW_S: f64 = 10.0;
@@ -70,11 +70,11 @@ impl Meter {
 
     pub(super) fn set(&self, quotas: Quotas) {
         let (mut inner, now_s) = (self.lock(), self.now_s());
-        if inner.quotas != quotas {
-            inner.quotas = quotas;
-            inner.epochs.count_anew(now_s);
-            inner.cpu_s.count_anew(now_s);
-        }
+        inner.quotas = quotas;
+        let in_window = |rate: f64| rate * EPOCHS_WINDOW_S;
+        inner.epochs.allow(quotas.epochs_per_s.map(in_window), now_s);
+        let in_window = |rate: f64| rate * (CPU_WINDOW_S / 60.0);
+        inner.cpu_s.allow(quotas.cpu_s_per_minute.map(in_window), now_s);
     }
 
     pub(super) fn set_stored(&self, stored: TenantUse) {
@@ -115,12 +115,10 @@ impl Meter {
     /// The tenant has used up a quota.
     pub fn admit_epochs(&self) -> Result<(), QuotaError> {
         let (mut inner, now_s) = (self.lock(), self.now_s());
-        if let Some(limit) = inner.quotas.epochs_per_s {
-            let retry_after = inner.epochs.delay(limit * EPOCHS_WINDOW_S, now_s);
-            if !retry_after.is_zero() {
-                let used = inner.epochs.used(now_s) / EPOCHS_WINDOW_S;
-                return Err(QuotaError::Epochs { used, limit, retry_after });
-            }
+        if let (Some(limit), Some(Excess { beyond, delay })) =
+            (inner.quotas.epochs_per_s, inner.epochs.excess(now_s))
+        {
+            return Err(QuotaError::Epochs { beyond, limit, retry_after: delay });
         }
         if let Some(limit) = inner.quotas.stored_bytes {
             let used = inner.stored.map_or(0, |stored| stored.stored_bytes);
@@ -179,13 +177,12 @@ impl Meter {
 
 impl Inner {
     fn check_cpu(&mut self, now_s: f64) -> Result<(), QuotaError> {
-        let Some(limit) = self.quotas.cpu_s_per_minute else { return Ok(()) };
-        let retry_after = self.cpu_s.delay(limit * (CPU_WINDOW_S / 60.0), now_s);
-        if retry_after.is_zero() {
-            return Ok(());
+        match (self.quotas.cpu_s_per_minute, self.cpu_s.excess(now_s)) {
+            (Some(limit), Some(Excess { beyond, delay })) => {
+                Err(QuotaError::Cpu { beyond, limit, retry_after: delay })
+            }
+            _ => Ok(()),
         }
-        let used = self.cpu_s.used(now_s) * (60.0 / CPU_WINDOW_S);
-        Err(QuotaError::Cpu { used, limit, retry_after })
     }
 }
 
