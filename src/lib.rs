@@ -49,6 +49,7 @@ pub mod store;
 
 pub mod clock;
 mod meters;
+mod panics;
 
 pub mod tls;
 

@@ -15,6 +15,7 @@ use crate::clock::{gps_time, unix_ms};
 use crate::formats::receiver::{Decoder, Event, Station, TimeReference};
 use crate::gnss::constants::SECONDS_PER_DAY;
 use crate::gnss::{BaseSite, Ecef, Epoch, GpsTime, Navigation, PositionSource};
+use crate::panics::words;
 
 use super::health::{FeedHealth, FeedProblem, FeedState};
 use super::ntrip::{self, NtripError, NtripStream, StreamRequest, position_sentence};
@@ -197,9 +198,7 @@ impl Stream {
             Ok(ended) => ended,
             Err(panic) => {
                 let StreamRequest { caster, mountpoint, .. } = &self.request;
-                let text = panic.downcast_ref::<String>().map(String::as_str);
-                let text = text.or_else(|| panic.downcast_ref::<&str>().copied());
-                let panic = text.unwrap_or("without a message");
+                let panic = words(&*panic);
                 tracing::error!(%caster, %mountpoint, panic, "the reader of a stream panicked");
                 Some(NtripError::Protocol { why: format!("its reader panicked: {panic}") })
             }

@@ -7,6 +7,7 @@ use axum::response::Response;
 use tonic::{Code as GrpcCode, Status};
 
 use crate::contract::Refusal;
+use crate::panics::words;
 use crate::refusal::Code;
 
 use super::status::to_status;
@@ -32,9 +33,7 @@ pub(super) fn explain(response: Response) -> Response {
 
 /// The answer to a panic.
 pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
-    let words = panic.downcast_ref::<String>().map(String::as_str);
-    let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
-    tracing::error!(panic = words, "a call panicked");
+    tracing::error!(panic = words(&*panic), "a call panicked");
     let refusal = Refusal::new(Code::Internal, "the call failed inside the service");
     to_status(&refusal).into_http::<Body>()
 }

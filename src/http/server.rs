@@ -13,6 +13,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::contract::{Refusal, Service};
+use crate::panics::words;
 use crate::refusal::Code;
 use crate::tls::ServerTls;
 
@@ -179,9 +180,7 @@ fn refuse(stream: TcpStream, refusal: &Refusal) {
 
 /// The answer of the REST door to a panic.
 pub(super) fn panicked(panic: Box<dyn Any + Send + 'static>) -> Response {
-    let words = panic.downcast_ref::<String>().map(String::as_str);
-    let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
-    tracing::error!(panic = words, "a request panicked");
+    tracing::error!(panic = words(&*panic), "a request panicked");
     Refused(Refusal::new(Code::Internal, "the request failed inside the service")).into_response()
 }
 

@@ -1,18 +1,13 @@
 //! Panics of an estimator. They are faults of the program, and must not end a session.
 
-use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use crate::panics::words;
 
 /// The result of `work`, or the message of its panic. After a panic, everything that `work` changed
 /// is in an undefined state and must be replaced.
 pub(super) fn caught<T>(work: impl FnOnce() -> T) -> Result<T, String> {
-    catch_unwind(AssertUnwindSafe(work)).map_err(|panic| message(&*panic))
-}
-
-/// The message of a panic.
-pub(super) fn message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<String>().map(String::as_str);
-    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("it panicked").to_owned()
+    catch_unwind(AssertUnwindSafe(work)).map_err(|panic| words(&*panic).to_owned())
 }
 
 #[cfg(test)]

@@ -40,6 +40,8 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 
+use crate::panics::words;
+
 use super::StoreError;
 use super::deadline::{DEADLINE, within};
 use super::health::{CommitterHealth, CommitterState};
@@ -421,8 +423,7 @@ async fn connected<C: Connect>(
 }
 
 fn panicked(panic: &(dyn Any + Send), health: &watch::Sender<CommitterHealth>) -> sqlx::Error {
-    let words = panic.downcast_ref::<String>().map(String::as_str);
-    let words = words.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no words");
+    let words = words(panic);
     tracing::error!(panic = words, "the committer panicked");
     health.send_modify(|health| health.panics += 1);
     sqlx::Error::Protocol(format!("the committer panicked: {words}"))
