@@ -13,6 +13,8 @@
 //! errors stay small if all rows have nearly the same entry. This is not necessary for the columns
 //! of border variables, because only one row of the group touches each of them.
 
+use std::array;
+
 use crate::graph::kernel::{Kernel, Law};
 use crate::graph::system::{Row, System};
 
@@ -105,52 +107,104 @@ impl<const S: usize> System<S> {
         if 0.0 < total {
             mean.iter_mut().for_each(|sum| *sum /= total);
             mean_residual /= total;
+            let mut products = Products::zero();
             for (row, &v) in rows.iter().zip(&scratch) {
                 let unit = row.by_offset.recip();
                 let shifted = (row.row.residual * unit + offset) - mean_residual;
-                let jacobian = std::array::from_fn(|i| row.row.jacobian[i] * unit - mean[i]);
-                let centred = Row { residual: shifted, columns: row.row.columns, jacobian };
-                self.add_weighted(k, &centred, v);
+                products.add(array::from_fn(|i| row.row.jacobian[i] * unit - mean[i]), shifted, v);
             }
+            self.add_products(k, &rows[0].row.columns, &products);
             self.add_group_border(k, rows, &mut scratch, &mean, offset - mean_residual, total);
         }
         self.scratch = scratch;
         offset
     }
 
-    /// Adds the border part of a group. Replaces the weight v of each row with a border variable by
-    /// v·∂ρ/∂b.
+    fn add_products<const N: usize>(
+        &mut self,
+        k: usize,
+        columns: &[usize; N],
+        products: &Products<N>,
+    ) {
+        let block = &mut self.diagonal[k].data.0;
+        let gradient = &mut self.gradient[k].data.0[0];
+        for (j, &column) in columns.iter().enumerate() {
+            gradient[column] += products.gradient[j];
+            for (i, &row) in columns.iter().enumerate().skip(j) {
+                block[column][row] += products.matrix[j][i];
+            }
+        }
+    }
+
+    /// Adds the border part of a group: with p = v·∂ρ/∂b of each row, the border's matrix gains
+    /// diag(p·∂ρ/∂b) − p·pᵀ/V. Overwrites `weights`, the weight v of each row.
     fn add_group_border<const N: usize>(
         &mut self,
         k: usize,
         rows: &[SharingRow<N>],
-        weights: &mut [f64],
+        weights: &mut Vec<f64>,
         mean: &[f64; N],
         offset: f64,
         total: f64,
     ) {
-        for (i, row) in rows.iter().enumerate() {
-            let Some((variable, derivative)) = row.border else { continue };
+        if let [only] = rows {
+            // The offset explains all of it, and rounding must leave nothing.
+            only.border.iter().for_each(|&(variable, _)| _ = self.touch(k, variable));
+            return;
+        }
+        let inverse_root = total.sqrt().recip();
+        let bordered = rows.iter().zip(weights.iter_mut());
+        let bordered = bordered.filter_map(|(row, weight)| Some((row, row.border?, weight)));
+        let mut count = 0;
+        for (row, (variable, derivative), weight) in bordered {
             let position = self.touch(k, variable);
             let unit = row.by_offset.recip();
             let slope = derivative * unit;
-            let pull = weights[i] * slope;
+            let pull = *weight * slope;
             let touched = &mut self.touched[k];
+            touched.coupled |= 0 < count;
             touched.gradient[position] += pull * (row.row.residual * unit + offset);
             let column = &mut touched.columns[position];
             for n in 0..N {
                 column[row.row.columns[n]] += pull * (row.row.jacobian[n] * unit - mean[n]);
             }
-            let left = (total - weights[i]) / total;
-            *touched.matrix.get_mut(position, position) += pull * slope * left;
-            touched.coupled |= 0 < i;
-            let factor = pull / total;
-            for (other, pull) in rows.iter().zip(&weights[..i]) {
-                let Some((variable, _)) = other.border else { continue };
-                let at = self.lives[variable].position();
-                *touched.matrix.get_mut(position, at) -= factor * pull;
+            *touched.matrix.get_mut(position, position) += pull * slope;
+            *weight = pull * inverse_root;
+            count += 1;
+        }
+        if count == 0 {
+            return;
+        }
+        weights.resize(rows.len() + self.touched[k].variables.len(), 0.0);
+        let (pulls, by_position) = weights.split_at_mut(rows.len());
+        for (row, pull) in rows.iter().zip(pulls) {
+            let Some((variable, _)) = row.border else { continue };
+            by_position[self.lives[variable].position()] = *pull;
+        }
+        self.touched[k].matrix.subtract_square(by_position);
+    }
+}
+
+/// Σ v·aaᵀ and Σ v·ρa of a group of rows.
+struct Products<const N: usize> {
+    gradient: [f64; N],
+    /// The upper triangle.
+    matrix: [[f64; N]; N],
+}
+
+impl<const N: usize> Products<N> {
+    const fn zero() -> Self {
+        Self { gradient: [0.0; N], matrix: [[0.0; N]; N] }
+    }
+
+    #[inline]
+    fn add(&mut self, a: [f64; N], residual: f64, weight: f64) {
+        for j in 0..N {
+            let scaled = weight * a[j];
+            self.gradient[j] += scaled * residual;
+            for i in j..N {
+                self.matrix[j][i] += scaled * a[i];
             }
-            weights[i] = pull;
         }
     }
 }
