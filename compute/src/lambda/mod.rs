@@ -51,9 +51,8 @@ mod validation;
 
 pub use fix::Fix;
 pub use resolver::{Options, Outcome, Partial, Rejection, Resolver};
-pub(crate) use separation::Separation;
+pub(crate) use separation::{Separated, Separation};
 pub use validation::KnownScale;
-pub(crate) use validation::odds_at_scale;
 
 /// Why integers cannot be searched for. Real data causes all but the dimension errors.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -4,17 +4,19 @@
 
 use nalgebra::DMatrix;
 
+use crate::lambda::LambdaError;
 use crate::lambda::reduction::Reduction;
 use crate::lambda::resolver::Options;
 use crate::lambda::search::{Search, SearchLimits, SearchOutcome};
-use crate::lambda::validation::{log_evidence, posterior, ratio};
-use crate::lambda::{LambdaError, odds_at_scale};
+use crate::lambda::validation::{log_evidence, odds_at_scale, posterior, ratio};
 
 /// The result of a search without some of the entries.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Separated {
     /// Posterior probability of the known integers.
     pub(crate) probability: f64,
+    /// Odds of the known integers against the best ones: at most one.
+    pub(crate) odds: f64,
     /// ln of the density of the floats that are left, summed over all integers.
     pub(crate) log_evidence: f64,
 }
@@ -66,27 +68,36 @@ impl Separation {
             indices.into_iter().for_each(|i| self.weights[i] = 1.0);
             self.part.leave_out(&mut self.weights).ok()?;
         }
-        if self.part.size() < options.fixed_min.max(1) {
-            return None;
-        }
-        let limits =
-            SearchLimits { candidates: options.candidates.max(2), nodes: options.nodes_max };
-        let outcome = self.search.run(&self.part, limits);
-        let norms = self.search.norms();
-        if matches!(outcome, SearchOutcome::LimitReached { .. }) || ratio(norms).is_none() {
-            return None;
-        }
-        let variances = self.part.variances();
-        let of_best = posterior(norms, variances, options.scale);
-        let log_evidence = log_evidence(norms[0], of_best, variances, options.scale);
-        let own = self.part.squared_norm();
-        let best = norms[0].min(own);
-        let odds = match options.scale {
-            Some(scale) => odds_at_scale([own, best], self.part.size(), scale),
-            None => (0.5 * (best - own)).exp(),
-        };
-        Some(Separated { probability: of_best * odds, log_evidence })
+        separated(&self.part, &mut self.search, options)
     }
+
+    /// Searches among all entries. `None` as for [`Self::without`].
+    pub(crate) fn with_all(&mut self, options: &Options) -> Option<Separated> {
+        separated(&self.whole, &mut self.search, options)
+    }
+}
+
+/// Searches among the entries of a reduction.
+fn separated(entries: &Reduction, search: &mut Search, options: &Options) -> Option<Separated> {
+    if entries.size() < options.fixed_min.max(1) {
+        return None;
+    }
+    let limits = SearchLimits { candidates: options.candidates.max(2), nodes: options.nodes_max };
+    let outcome = search.run(entries, limits);
+    let norms = search.norms();
+    if matches!(outcome, SearchOutcome::LimitReached { .. }) || ratio(norms).is_none() {
+        return None;
+    }
+    let variances = entries.variances();
+    let of_best = posterior(norms, variances, options.scale);
+    let log_evidence = log_evidence(norms[0], of_best, variances, options.scale);
+    let own = entries.squared_norm();
+    let best = norms[0].min(own);
+    let odds = match options.scale {
+        Some(scale) => odds_at_scale([own, best], entries.size(), scale),
+        None => (0.5 * (best - own)).exp(),
+    };
+    Some(Separated { probability: of_best * odds, odds, log_evidence })
 }
 
 #[cfg(test)]
@@ -149,9 +160,12 @@ mod tests {
         assert!((found.probability - (-8_f64).exp() / all).abs() < 1e-6, "{found:?}");
         let density = all / (std::f64::consts::TAU * 0.04).sqrt();
         assert!((found.log_evidence - density.ln()).abs() < 1e-3, "{found:?}");
-        let (strict, none) =
-            (Options { fixed_min: 2, ..options() }, std::iter::empty::<[usize; 1]>());
+        assert!((found.odds - (-7.5_f64).exp()).abs() < 1e-12, "{found:?}");
+        let strict = Options { fixed_min: 2, ..options() };
         assert_eq!(separation.without([[0]].into_iter(), &strict), None);
-        assert!(separation.without(none, &strict).unwrap().probability < 0.5);
+        // The first entry is nearest to its known integer, so the odds are those of the second.
+        let of_both = separation.with_all(&strict).unwrap();
+        assert!((of_both.odds - found.odds).abs() < 1e-12, "{of_both:?}");
+        assert!(of_both.probability < 0.5);
     }
 }

@@ -25,18 +25,6 @@ pub(crate) fn lambda_options(options: &RtkOptions, scale: KnownScale) -> Options
     }
 }
 
-/// Options of a search that accepts the best integers of `count` ambiguities without any test.
-pub(crate) fn any_integers(options: &Options, count: usize) -> Options {
-    Options {
-        success_rate_min: 0.0,
-        ratio_min: 0.0,
-        probability_min: 0.0,
-        fixed_min: count,
-        attempts_max: 1,
-        ..*options
-    }
-}
-
 /// Why integers were not accepted, if they were not.
 pub(crate) fn refusal(outcome: &Outcome, options: &Options) -> Option<Reason> {
     Some(match outcome.rejection? {

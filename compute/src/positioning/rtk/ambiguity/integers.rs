@@ -10,15 +10,16 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
-use crate::lambda::{Options, Outcome, Partial, Resolver, Separation, odds_at_scale};
+use crate::lambda::{Options, Outcome, Partial, Resolver};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
 
-use super::acceptance::{any_integers, lambda_options, refusal};
+use super::acceptance::{lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
 use super::fixed_position::{FixedPosition, KnownPosition, fixed_position};
 use super::float::FloatSolution;
 use super::hold::{FOUND_EPOCHS, Found, HoldState, NEARLY_CERTAIN};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
+use super::separation::HeldIntegers;
 
 /// Number of ambiguities for which storage is reserved at first.
 const CAPACITY: usize = 64;
@@ -96,7 +97,7 @@ impl Judgement<'_> {
 #[derive(Debug)]
 pub(crate) struct IntegerSearch {
     pub(crate) resolver: Resolver,
-    pub(super) separation: Separation,
+    pub(super) held: HeldIntegers,
     pub(super) differences: Differences,
     order: Vec<usize>,
 }
@@ -105,7 +106,7 @@ impl Default for IntegerSearch {
     fn default() -> Self {
         Self {
             resolver: Resolver::with_capacity(CAPACITY),
-            separation: Separation::with_capacity(CAPACITY),
+            held: HeldIntegers::with_capacity(CAPACITY),
             differences: Differences::default(),
             order: Vec::new(),
         }
@@ -122,6 +123,7 @@ impl IntegerSearch {
         is_confirmed: bool,
     ) -> Resolution {
         let IntegerQuestion { time, float, noise, options } = *question;
+        self.held.forget();
         let is_eligible = |arc: &CarrierArc| arc.last == time && may_be_integer(arc, options);
         self.differences.form(arcs.list(), is_eligible, float);
         for pair in self.differences.pairs.iter().filter(|pair| pair.known.is_none()) {
@@ -189,8 +191,11 @@ impl IntegerSearch {
             return None;
         }
         let (rest, squared_norm) = condition(joint, &held, &self.known_values(&held), &others)?;
+        // Errors that are correlated in time put float ambiguities further from their integers than
+        // their covariance allows. This is no evidence against the integers as long as no others
+        // fit better.
         let odds = match DISAGREEMENT * (held.len() as f64) < squared_norm {
-            true => self.odds_against_the_best(arcs.list(), joint, &held, squared_norm, options)?,
+            true => self.held.load(&self.differences.pairs, &held, joint, options)?.odds,
             false => 1.0,
         };
         let against_others = scale_odds(odds, hold.probability);
@@ -247,25 +252,6 @@ impl IntegerSearch {
             }
         }
         accepted
-    }
-
-    /// Odds of the integers of the pairs `known`, with the given squared norm, against the best
-    /// ones: at most one. `None` if the search fails.
-    ///
-    /// Errors that are correlated in time put float ambiguities further from their integers than
-    /// their covariance allows. This is no evidence against the integers as long as no others fit
-    /// better.
-    fn odds_against_the_best(
-        &mut self,
-        arcs: &[CarrierArc],
-        joint: &Joint,
-        known: &[usize],
-        squared_norm: f64,
-        options: &Options,
-    ) -> Option<f64> {
-        let anything = any_integers(options, known.len());
-        let best = self.search(arcs, joint, known, known, &anything)?.squared_norm?;
-        Some(odds_at_scale([squared_norm, best.min(squared_norm)], known.len(), options.scale?))
     }
 
     /// Searches for the integers of all ambiguities; they must be found in consecutive epochs
