@@ -481,6 +481,7 @@ impl Chain {
     ) -> Result<(), EliminationError> {
         system.reset(2, self.estimate.border.len());
         let Self { epochs, prior, estimate, .. } = self;
+        self.keep_residuals(&mut scratch.lines);
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen: &mut scratch.seen };
         rows.add_oldest(estimate, system);
         let (per_epoch, slot) = (self.ring != 0, self.epochs[0].factors.slot);

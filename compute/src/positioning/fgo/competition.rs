@@ -8,18 +8,19 @@
 
 use std::sync::Arc;
 
-use crate::gnss::Constellation;
+use crate::gnss::{Constellation, GpsTime};
 use crate::graph::{EliminationError, Estimate, Prior, Workspace};
 use crate::positioning::clock_jump::CRYSTAL_DRIFT_M_S;
 use crate::positioning::factors::{
-    BiasFactor, CLOCK, ComponentFactor, DRIFT, STATE, VELOCITY, position,
+    BiasFactor, CLOCK, ComponentFactor, DRIFT, Line, STATE, VELOCITY, position,
 };
-use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, Verdict, rivalry};
+use crate::positioning::ranging::Ranging;
+use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, SPACING_S, Verdict, rivalry};
 use crate::positioning::setup::GraphSettings;
 use crate::positioning::starts::{START_CLOCK_M, START_M_S, are_refuting};
 
 use super::chain::{BIAS_M, Chain, ChainScratch};
-use super::epoch::Miss;
+use super::epoch::{Miss, Source};
 
 /// Standard deviation of the first position's prior after a move (m).
 const MOVED_M: f64 = 30.0;
@@ -112,23 +113,36 @@ impl Chain {
         matches!(verdict, Verdict::Move(_))
     }
 
-    /// The median residual of each satellite over the window's last `span_s`.
+    /// The median residual of each satellite over the last `span_s`, of epochs at least
+    /// [`SPACING_S`] apart. These may have left the window.
     pub(super) fn pooled(&self, span_s: f64, scratch: &mut ChainScratch) -> Vec<Pooled> {
         let ChainScratch { lines, misses, .. } = scratch;
         let Some(now) = self.last_time() else { return Vec::new() };
         let Estimate { states, border } = &self.estimate;
-        let mut independent = 0.0;
+        let (mut independent, mut later) = (0.0, None);
+        let is_recent = |time: GpsTime| now - time <= span_s;
         misses.clear();
-        for (k, (epoch, state)) in self.epochs.iter().zip(states).enumerate() {
-            if span_s < now - epoch.time {
+        let window = self.epochs.iter().zip(states).enumerate().rev();
+        for (k, (epoch, state)) in window.take_while(|(_, (epoch, _))| is_recent(epoch.time)) {
+            independent += epoch.share;
+            if later.is_some_and(|later: GpsTime| later - epoch.time < SPACING_S) {
                 continue;
             }
-            independent += epoch.share;
+            later = Some(epoch.time);
             epoch.factors.see(state, lines);
             misses.extend(epoch.factors.ranges.iter().enumerate().map(|(index, range)| Miss {
                 satellite: range.satellite,
                 residual_m: range.miss_m(lines, state, border),
-                range: (k, index),
+                source: Source::Window(k, index),
+            }));
+        }
+        let departed = self.watch.departed();
+        for (k, epoch) in departed.iter().enumerate().filter(|(_, epoch)| is_recent(epoch.time)) {
+            independent += epoch.share;
+            misses.extend(epoch.residuals.iter().enumerate().map(|(index, pooled)| Miss {
+                satellite: pooled.satellite,
+                residual_m: pooled.residual_m,
+                source: Source::Departed(k, index),
             }));
         }
         misses.sort_unstable_by(|a, b| {
@@ -136,15 +150,42 @@ impl Chain {
         });
         let independent = f64::min(independent, 1.0);
         let middle = |of_satellite: &[Miss]| {
-            let Miss { satellite, residual_m, range: (k, index) } =
-                of_satellite[of_satellite.len() / 2];
-            let factors = &self.epochs[k].factors;
-            let range = &factors.ranges[index];
-            let (_, slope) = factors.sights[usize::from(range.sight)].range(&position(&states[k]));
-            let (error, before_learning) = (range.error()?, range.reflection?.before_learning);
-            Some(Pooled { satellite, slope, residual_m, error, before_learning, independent })
+            let Miss { residual_m, source, .. } = of_satellite[of_satellite.len() / 2];
+            let pooled = match source {
+                Source::Window(k, index) => self.residual(k, index, residual_m)?,
+                Source::Departed(k, index) => departed[k].residuals[index],
+            };
+            Some(Pooled { independent, ..pooled })
         };
         misses.chunk_by(|a, b| a.satellite == b.satellite).filter_map(middle).collect()
+    }
+
+    /// The residual of pseudorange `index` of epoch `k` with its error model, if one is set.
+    fn residual(&self, k: usize, index: usize, residual_m: f64) -> Option<Pooled> {
+        let factors = &self.epochs[k].factors;
+        let range = &factors.ranges[index];
+        let (error, before_learning) = (range.error()?, range.reflection?.before_learning);
+        let at = position(&self.estimate.states[k]);
+        let (_, slope) = factors.sights[usize::from(range.sight)].range(&at);
+        let (satellite, independent) = (range.satellite, self.epochs[k].share);
+        Some(Pooled { satellite, slope, residual_m, error, before_learning, independent })
+    }
+
+    /// Hands the residuals of the oldest epoch, which leaves the window, to the search for other
+    /// positions.
+    pub(super) fn keep_residuals(&mut self, lines: &mut Vec<Line>) {
+        let (Some(now), Some(oldest)) = (self.last_time(), self.epochs.first()) else { return };
+        let mut watch = std::mem::take(&mut self.watch);
+        watch.let_leave(now, (oldest.time, oldest.share), || {
+            let (state, border) = (&self.estimate.states[0], &self.estimate.border);
+            oldest.factors.see(state, lines);
+            let ranges = oldest.factors.ranges.iter().enumerate();
+            let residual = |(index, range): (usize, &Ranging)| {
+                self.residual(0, index, range.miss_m(lines, state, border))
+            };
+            ranges.filter_map(residual).collect()
+        });
+        self.watch = watch;
     }
 
     /// Moves the window by an offset of position and clocks, and drops the prior.

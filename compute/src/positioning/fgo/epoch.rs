@@ -42,14 +42,20 @@ pub(super) enum Tie {
     DopplerVelocity(DopplerVelocityFactor),
 }
 
-/// The residual of a pseudorange in the window.
+/// The residual of a pseudorange of the last ten seconds.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Miss {
     pub(super) satellite: SatelliteId,
     /// Measured minus predicted (m).
     pub(super) residual_m: f64,
-    /// Index of its epoch in the window, and of the range there.
-    pub(super) range: (usize, usize),
+    pub(super) source: Source,
+}
+
+/// Where a residual comes from: the index of its epoch, and its index there.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Source {
+    Window(usize, usize),
+    Departed(usize, usize),
 }
 
 /// Lines of sight and phase residuals of an epoch at the current estimate.

@@ -25,7 +25,7 @@ const PRIOR_PRODUCTS: f64 = 200.0;
 const INTERVAL_MAX_S: f64 = 5.0;
 /// Bound of whitened residuals, so that single reflections do not dominate.
 const CUT_OFF: f64 = 3.0;
-/// Lower bound of κ, reached at 50 epochs a second.
+/// Lower bound of κ, reached at 100 epochs a second.
 const SHARE_MIN: f64 = 1e-3;
 
 /// Whitened residuals of the newest epoch, and the sums that give r.

@@ -9,4 +9,4 @@ mod watch;
 
 pub(crate) use evidence::{Knowledge, Offset, Pooled};
 pub(crate) use hypotheses::{Rivalry, rivalry};
-pub(crate) use watch::{POOL_S, Verdict, Watch};
+pub(crate) use watch::{POOL_S, SPACING_S, Verdict, Watch};

@@ -11,7 +11,7 @@
 //! makes about 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
-use crate::snapshot::state_fields;
+use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::evidence::{Knowledge, Offset, Pooled};
 use super::hypotheses::{self, Rivalry};
@@ -21,6 +21,9 @@ const SEARCH_S: f64 = 2.0;
 /// Length of a pool (s). Multipath is nearly constant over this time, so a satellite has one
 /// residual in it.
 pub(crate) const POOL_S: f64 = 10.0;
+/// Shortest time between two epochs whose residuals are both pooled (s): errors of closer ones are
+/// the same. So a pool has as many residuals at 1 Hz as at 50 Hz.
+pub(crate) const SPACING_S: f64 = 0.9;
 /// Time without an epoch after which the position counts as a new start (s).
 const OUTAGE_S: f64 = 10.0;
 /// Time after a start in which the position does not settle (s): some of the three pools are then
@@ -50,9 +53,25 @@ pub(crate) enum Verdict {
     Move(Offset),
 }
 
+/// The residuals of an epoch that has left the window.
+#[derive(Clone, Debug)]
+pub(crate) struct Departed {
+    pub(crate) time: GpsTime,
+    /// Independent fraction of the information of this epoch, and of those since the one before.
+    pub(crate) share: f64,
+    pub(crate) residuals: Vec<Pooled>,
+}
+
+snapshot_fields!(Departed { time, share, residuals });
+
 /// Residuals of earlier windows, and the times of the last search and the last start.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
+    /// Epochs that have left the window less than a pool ago, in order of time. There are none if
+    /// the window has the length of a pool.
+    departed: Vec<Departed>,
+    /// Sum of the independent fractions of the epochs that left after the last one of these.
+    departing_share: f64,
     /// The two pools before the present window, the newer one first.
     earlier: [Vec<Pooled>; 2],
     /// Time of the newer pool.
@@ -63,24 +82,55 @@ pub(crate) struct Watch {
     settling: Option<GpsTime>,
 }
 
-state_fields!(Watch { earlier, pooled, searched, settling });
+state_fields!(Watch { departed, departing_share, earlier, pooled, searched, settling });
 
 impl Watch {
     /// Records an epoch at `now`, `interval_s` after the previous one; returns whether a search is
     /// due.
     pub(crate) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
         if interval_s.is_none_or(|interval_s| OUTAGE_S < interval_s) {
-            self.earlier.iter_mut().for_each(Vec::clear);
+            self.forget();
             (self.settling, self.pooled, self.searched) = (Some(now), Some(now), None);
         }
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
+    /// Lets an epoch of `time` leave the window at `now`. `residuals` is called if they are kept for
+    /// the pool.
+    pub(crate) fn let_leave(
+        &mut self,
+        now: GpsTime,
+        (time, share): (GpsTime, f64),
+        residuals: impl FnOnce() -> Vec<Pooled>,
+    ) {
+        self.departed.retain(|departed| now - departed.time < POOL_S);
+        if POOL_S <= now - time {
+            self.departing_share = 0.0;
+            return;
+        }
+        self.departing_share += share;
+        if self.departed.last().is_none_or(|departed| SPACING_S <= time - departed.time) {
+            let share = std::mem::take(&mut self.departing_share);
+            self.departed.push(Departed { time, share, residuals: residuals() });
+        }
+    }
+
+    /// Epochs that have left the window less than a pool ago, in order of time.
+    pub(crate) fn departed(&self) -> &[Departed] {
+        &self.departed
+    }
+
     /// Starts at a position that is known.
     pub(crate) fn settle(&mut self, now: GpsTime) {
-        self.earlier.iter_mut().for_each(Vec::clear);
+        self.forget();
         self.settling = Some(now - (FILLING_S + SETTLING_S));
         (self.pooled, self.searched) = (Some(now), Some(now));
+    }
+
+    /// Forgets all residuals.
+    fn forget(&mut self) {
+        self.departed.clear();
+        self.earlier.iter_mut().for_each(Vec::clear);
     }
 
     /// Standard deviation of inter-system biases at `now` (m); infinite until the position is
@@ -147,7 +197,8 @@ impl Watch {
 
     /// Corrects the pooled residuals for a move of the position.
     pub(crate) fn follow(&mut self, offset: &Offset) {
-        for pooled in self.earlier.iter_mut().flatten() {
+        let departed = self.departed.iter_mut().map(|departed| &mut departed.residuals);
+        for pooled in self.earlier.iter_mut().chain(departed).flatten() {
             let constellation: Constellation = pooled.satellite.constellation;
             let along_m = pooled.slope.dot(&offset.position_m());
             pooled.residual_m -= along_m + offset.clock_m(constellation);
@@ -192,5 +243,27 @@ mod tests {
             seen[13..],
             [vec![14.0, 10.0, 5.0], vec![15.0, 10.0, 5.0], vec![16.0, 15.0, 10.0]]
         );
+    }
+
+    /// A window of a second and a half at 20 Hz: of the epochs that left it, one in each second is
+    /// kept, and these have the information of all.
+    #[test]
+    fn epochs_that_left_a_short_window_are_kept_a_second_apart() {
+        let mut watch = Watch::default();
+        let time = |k: i32| GpsTime::EPOCH + 0.05 * f64::from(k);
+        for k in 0..400 {
+            watch.let_leave(time(k + 30), (time(k), 0.005), || vec![pooled(f64::from(k))]);
+        }
+        let (kept, now) = (watch.departed(), time(429));
+        assert!((8..=10).contains(&kept.len()), "{}", kept.len());
+        assert!(kept.iter().all(|departed| now - departed.time < POOL_S + 1e-6));
+        for pair in kept.windows(2) {
+            let apart_s = pair[1].time - pair[0].time;
+            assert!((SPACING_S..SPACING_S + 0.06).contains(&apart_s), "{apart_s}");
+            assert!((pair[1].share - 0.1 * apart_s).abs() < 1e-9, "{}", pair[1].share);
+        }
+        // A window of a pool's length lets no residual go before its pool is full.
+        watch.let_leave(time(800), (time(600), 0.005), || unreachable!());
+        assert!(watch.departed().is_empty());
     }
 }

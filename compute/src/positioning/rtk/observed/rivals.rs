@@ -12,14 +12,11 @@ use crate::graph::shared_offset;
 use crate::positioning::code_error::{CodeError, extra_path_m};
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::receiver::reflected_before_learning;
-use crate::positioning::rivals::{POOL_S, Pooled, Verdict, Watch};
+use crate::positioning::rivals::{POOL_S, Pooled, SPACING_S, Verdict, Watch};
 use crate::positioning::setup::OFFSET_KERNEL;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::epoch::{RowScratch, RtkEpoch, State};
-
-/// Shortest time between two epochs that are both kept (s): errors of closer ones are the same.
-const SPACING_S: f64 = 0.9;
 
 /// The residual of a satellite at an epoch.
 #[derive(Clone, Debug)]
