@@ -3,6 +3,11 @@
 /// Largest tabulated number of degrees of freedom, above the number of satellites in view.
 const DEGREES_MAX: usize = 64;
 
+/// From FAR + FAR_PER_DEGREE·k on, a chi-square variable of k degrees of freedom is exceeded with a
+/// probability below 10⁻⁴⁰.
+const FAR: f64 = 200.0;
+const FAR_PER_DEGREE: f64 = 5.0;
+
 /// Values that a chi-square variable exceeds with a given probability, by degrees of freedom.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ChiSquareLimits([f64; DEGREES_MAX]);
@@ -24,6 +29,17 @@ impl ChiSquareLimits {
     pub(crate) fn at(&self, degrees: usize) -> f64 {
         let tabulated = degrees.clamp(1, DEGREES_MAX);
         self.0[tabulated - 1] * (degrees.max(1) as f64 / tabulated as f64)
+    }
+}
+
+/// Probability that a chi-square variable of `degrees` degrees of freedom, 1 or more, exceeds `x`.
+pub(crate) fn probability_above(degrees: usize, x: f64) -> f64 {
+    if x <= 0.0 {
+        1.0
+    } else if FAR + FAR_PER_DEGREE * degrees as f64 <= x {
+        0.0
+    } else {
+        1.0 - distribution(degrees, x).0
     }
 }
 
@@ -82,6 +98,19 @@ mod tests {
             assert!((limits.at(degrees) - value).abs() < 6e-4, "{degrees}: {}", limits.at(degrees));
         }
         assert!((ChiSquareLimits::new(0.05).at(4) - 9.487_73).abs() < 1e-5);
+    }
+
+    /// The same table, and far beyond it.
+    #[test]
+    fn probabilities_of_tabulated_values() {
+        for (degrees, x, above) in [(1, 10.828, 1e-3), (7, 14.067, 0.05), (30, 59.703, 1e-3)] {
+            let found = probability_above(degrees, x);
+            assert!((found / above - 1.0).abs() < 1e-3, "{degrees}: {found}");
+        }
+        assert_eq!(
+            [0.0, 519.9, 520.0, 1e9].map(|x| probability_above(64, x) < 1e-12),
+            [false, true, true, true]
+        );
     }
 
     #[test]

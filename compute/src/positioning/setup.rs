@@ -6,7 +6,6 @@ use crate::graph::{AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, P
 
 use super::chi_square::ChiSquareLimits;
 use super::factors::{ClockWalk, MotionWalk};
-use super::standstill::StandstillTest;
 
 /// A solve ends after a step shorter than this many standard deviations of the estimate.
 const TOLERANCE: f64 = 1e-2;
@@ -31,8 +30,6 @@ pub(super) struct Setup {
     pub(super) innovation_limit: f64,
     pub(super) motion: MotionWalk,
     pub(super) clock: ClockWalk,
-    /// The test for standstill, if the options enable it.
-    pub(super) standstill: Option<StandstillTest>,
     /// The graph of a receiver without a base.
     pub(super) alone: GraphSettings,
     /// Whether the noise and the clocks of the receiver are estimated. Pseudoranges then have the
@@ -60,7 +57,6 @@ impl Setup {
             residual_limits,
             motion: MotionWalk::of(&options.graph),
             clock: ClockWalk::of(&options.graph),
-            standstill: options.graph.zero_velocity.then(StandstillTest::new),
             alone: match learns {
                 true => GraphSettings::learning(),
                 false => GraphSettings::alone(&options.graph),

@@ -174,8 +174,8 @@ impl FilterScratch {
         let rows = &mut self.rows;
         let over = |odometry| OdometryFactor::over(interval_s, &known.frame, receiver, odometry);
         rows.odometry = self.measurements.odometry.as_ref().and_then(over);
-        if let Some(test) = &setup.standstill {
-            let is_still = known.standstill.observe(test, &rows.rates, Some(interval_s));
+        if setup.options.graph.zero_velocity {
+            let is_still = known.standstill.observe(&rows.rates, Some(interval_s));
             rows.standstill = is_still.then(|| ZeroVelocityFactor::new(interval_s));
         }
     }

@@ -285,8 +285,7 @@ impl Chain {
             true => self.receiver.independent_share(spacing_s),
             false => (spacing_s / options.independence_s).min(1.0),
         };
-        let Some(test) = &setup.standstill else { return share };
-        if !self.standstill.observe(test, &factors.rates, interval_s) {
+        if !options.zero_velocity || !self.standstill.observe(&factors.rates, interval_s) {
             return share;
         }
         factors.standstill = interval_s.map(ZeroVelocityFactor::new);
