@@ -24,9 +24,11 @@ pub(crate) struct BaseMemory {
     power_failed: bool,
     /// The stated position, and its check.
     check: Option<(Ecef, BasePositionCheck)>,
+    /// Time of the last epoch that entered the check.
+    checked: Option<GpsTime>,
 }
 
-state_fields!(BaseMemory { station, newest, locks, lost, power_failed, check });
+state_fields!(BaseMemory { station, newest, locks, lost, power_failed, check, checked });
 
 impl BaseMemory {
     /// Distance from the known base to this one (m), if this is another base.
@@ -65,7 +67,7 @@ impl BaseMemory {
     }
 
     /// Checks the stated position against the single-point positions of the base. The newest epoch
-    /// enters their mean, until the mean has enough epochs. If it then refuses the position, the
+    /// enters their mean once, until the mean has enough epochs. If it then refuses the position, the
     /// next epoch begins another mean, since one wild epoch must not refuse a base for ever. A
     /// single point whose residuals are too large is left out.
     pub(crate) fn checked(
@@ -79,8 +81,9 @@ impl BaseMemory {
         let mut check = known.map_or_else(BasePositionCheck::new, |(_, check)| check);
         let is_refused = check.is_done() && check.verdict() == BasePositionVerdict::Refused;
         if (is_refused || !check.is_done())
-            && let Some(newest) = &self.newest
+            && let Some(newest) = self.newest.as_ref().filter(|e| self.checked != Some(e.time))
         {
+            self.checked = Some(newest.time);
             let bands = ReceiverBands::of(newest);
             let of_base = EpochInputs { epoch: newest, bands, ..*inputs };
             let alone = single_point.solve(&of_base, Some(stated));
