@@ -227,6 +227,16 @@ impl Ranging {
     }
 }
 
+/// How the clocks of an epoch differ from the predicted ones.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ClockChange {
+    /// Measured minus predicted clock (m), if there is a pseudorange that determines it.
+    pub(super) clock_m: Option<f64>,
+    /// Where the reference constellation begins after others: its clock minus the one that has been
+    /// estimated in its place (m); else zero.
+    pub(super) reference_m: f64,
+}
+
 /// The pseudoranges of an epoch at a state.
 #[derive(Clone, Copy)]
 pub(super) struct SeenRanges<'a> {
@@ -239,32 +249,44 @@ pub(super) struct SeenRanges<'a> {
 impl SeenRanges<'_> {
     /// Finds the clock, and the biases that begin, from the medians of the pseudoranges.
     ///
-    /// Returns measured minus predicted clock (m), if there is a pseudorange that determines it.
     /// The biases of constellations that begin are added to `biases_m` and `begun`, and `begins` is
-    /// called with the index and value of each. If no clock is known yet, the first constellation's
-    /// clock replaces that of the reference.
+    /// called with the index and value of each. Until the reference begins, the clock is that of
+    /// the constellations that have begun, each with its bias. When it begins, the known biases
+    /// are changed by −[`ClockChange::reference_m`].
     pub(super) fn settle_clock(
         &self,
         biases_m: &mut [f64],
         begun: &mut [bool; Constellation::COUNT],
         numbers: &mut Vec<f64>,
         mut begins: impl FnMut(usize, f64),
-    ) -> Option<f64> {
+    ) -> ClockChange {
         let index = |range: &Ranging| range.satellite.constellation.index();
-        let known = |range: &&Ranging| range.bias.is_none() || begun[index(range)];
+        let known = |range: &&Ranging| begun[index(range)];
         let mut clock_m = self.median_miss_m(known, biases_m, numbers);
+        let mut reference_m = 0.0;
         for constellation in Constellation::ALL.into_iter().map(Constellation::index) {
             let of = |range: &&Ranging| index(range) == constellation;
             let first = self.ranges.iter().find(of).filter(|_| !begun[constellation]);
-            let Some(variable) = first.and_then(|range| range.bias) else { continue };
-            let variable = variable as usize;
-            biases_m[variable] = 0.0;
+            let Some(first) = first else { continue };
+            if let Some(variable) = first.bias {
+                biases_m[variable as usize] = 0.0;
+            }
             let own_m = self.median_miss_m(of, biases_m, numbers).unwrap_or(0.0);
-            biases_m[variable] = own_m - *clock_m.get_or_insert(own_m);
+            let since_m = own_m - *clock_m.get_or_insert(own_m);
+            match first.bias.map(|variable| variable as usize) {
+                Some(variable) => {
+                    biases_m[variable] = since_m - reference_m;
+                    begins(variable, biases_m[variable]);
+                }
+                None => {
+                    reference_m = since_m;
+                    let others = biases_m.iter_mut().zip(&*begun).filter(|(_, begun)| **begun);
+                    others.for_each(|(bias_m, _)| *bias_m -= since_m);
+                }
+            }
             begun[constellation] = true;
-            begins(variable, biases_m[variable]);
         }
-        clock_m
+        ClockChange { clock_m, reference_m }
     }
 
     /// Median of measured minus predicted pseudoranges (m) for which `is_wanted` is true.

@@ -5,13 +5,13 @@ use nalgebra::Vector3;
 use crate::config::{Mode, PositioningOptions, Profile};
 use crate::gnss::constants::SPEED_OF_LIGHT;
 use crate::gnss::{
-    Cycles, Ecef, Enu, Ephemeris, Epoch, Geodetic, GpsTime, GroupDelays, KeplerianEphemeris,
-    LocalFrame, Navigation, NavigationMessage, Observation, ObservationCode, Reason, SatelliteId,
-    Solution, Status,
+    BaseStation, Constellation, Cycles, Ecef, Enu, Ephemeris, Epoch, Geodetic, GpsTime,
+    GroupDelays, KeplerianEphemeris, LocalFrame, Navigation, NavigationMessage, Observation,
+    ObservationCode, Reason, SatelliteId, Solution, Status,
 };
 use crate::models::{geometric_range, look_angles, range_rate, state_at_transmission};
 
-use super::{Aiding, Estimator, SatelliteRole, satellite_views};
+use super::{Aiding, BaseAiding, Estimator, SatelliteRole, satellite_views};
 
 const CLOCK_M: f64 = 1_234.5;
 const DRIFT_M_S: f64 = 0.7;
@@ -359,4 +359,68 @@ fn a_climb_after_a_long_rest_is_followed() {
         let off_m = solution.estimate.unwrap().position.distance_m(moment.receiver);
         assert!(off_m < 3.0, "{off_m} m after {second} s");
     }
+}
+
+/// The first twenty seconds have Galileo alone, whose clock is 100 m behind that of GPS. GPS then
+/// has a clock of its own, and all its satellites are used at once.
+#[test]
+fn gps_that_appears_late_is_used() {
+    let mut navigation = Navigation::default();
+    (sky('G', 6, &mut navigation), sky('E', 6, &mut navigation));
+    for (mode, bias_m) in [(Mode::Fgo, 100.0), (Mode::Fgo, -500.0), (Mode::Ekf, 100.0)] {
+        let mut estimator = Estimator::new(PositioningOptions { mode, ..options() });
+        for second in 0..60 {
+            let time = tag() + f64::from(second);
+            let moment = Moment { time, receiver: receiver(), velocity_m_s: Vector3::zeros() };
+            let observed = |ephemeris| {
+                let observation: Observation = moment.observation(ephemeris);
+                let is_gps = observation.satellite.constellation == Constellation::Gps;
+                let later_m = if is_gps { 0.0 } else { bias_m };
+                let pseudorange_m = observation.pseudorange_m.map(|range_m| range_m + later_m);
+                let is_tracked = !is_gps || 20 <= second;
+                is_tracked.then_some(Observation { pseudorange_m, ..observation })
+            };
+            let all = navigation.satellites().flat_map(|(_, list)| list);
+            let observations: Vec<_> = all.filter_map(observed).collect();
+            let expected = observations.len();
+            let epoch = Epoch { observations, ..Epoch::new(time) };
+            let solution = estimator.advance(&epoch, &Aiding::alone(&navigation));
+            let off_m = error_m(&solution);
+            let used = solution.estimate.unwrap().satellites_used.len();
+            assert!(used == expected && off_m < 0.1, "{used} of {expected}, {off_m} m, {second} s");
+        }
+    }
+}
+
+/// The base's first epoch is 15 m off. It counts once in the check of the base's position, however
+/// many epochs of the rover follow it.
+#[test]
+fn an_epoch_of_the_base_checks_its_position_once() {
+    let mut navigation = Navigation::default();
+    sky('G', 8, &mut navigation);
+    let mut estimator = Estimator::new(PositioningOptions { mode: Mode::RtkFgo, ..options() });
+    let frame = LocalFrame::at(receiver());
+    let antenna_reference_point = frame.to_ecef(Enu(Vector3::new(40.0, -30.0, 2.0)));
+    let station = BaseStation { name: "base".to_owned(), antenna_reference_point };
+    let epoch_at = |time: GpsTime, receiver: Ecef| {
+        let moment = Moment { time, receiver, velocity_m_s: Vector3::zeros() };
+        let all = navigation.satellites().flat_map(|(_, list)| list);
+        let observations = all.map(|ephemeris| moment.observation(ephemeris)).collect();
+        Epoch { observations, ..Epoch::new(time) }
+    };
+    let mut doubtful = Vec::new();
+    for tenth in 0..100 {
+        let time = tag() + 0.1 * f64::from(tenth);
+        let off_m = if tenth == 0 { 15.0 } else { 0.0 };
+        let base = frame.to_ecef(Enu(Vector3::new(40.0, -30.0 + off_m, 2.0)));
+        let epochs = if tenth % 10 == 0 { vec![epoch_at(time, base)] } else { Vec::new() };
+        let base = Some(BaseAiding { station: &station, epochs: &epochs });
+        let aiding = Aiding { navigation: &navigation, base };
+        let solution = estimator.advance(&epoch_at(time, receiver()), &aiding);
+        let is_doubt = |reason: &Reason| matches!(reason, Reason::BasePositionDoubtful { .. });
+        doubtful.push(solution.reasons.iter().any(is_doubt));
+    }
+    // The mean of two epochs is 7.5 m off, which is no reason for doubt.
+    let expected: Vec<bool> = (0..100).map(|tenth| tenth < 10).collect();
+    assert_eq!(doubtful, expected);
 }

@@ -131,7 +131,7 @@ impl FilterScratch {
             known.begun = [false; Constellation::COUNT];
         } else {
             let wandered_m2 = graph.bias_walk_m.powi(2) * interval_s;
-            for constellation in Constellation::ALL.into_iter().map(Constellation::index) {
+            for constellation in Constellation::ALL.into_iter().skip(1).map(Constellation::index) {
                 if known.begun[constellation] {
                     known.gaussian.loosen(BIAS + constellation, wandered_m2);
                 }
@@ -278,8 +278,9 @@ impl FilterScratch {
         biases_m.copy_from_slice(gaussian.biases_m());
         let begins = |index, mean_m| gaussian.renew(BIAS + index, mean_m, BIAS_M);
         let seen = SeenRanges { ranges, lines, state: &state };
-        let miss_m = seen.settle_clock(&mut biases_m, begun, numbers, begins);
-        let miss_m = miss_m.unwrap_or(0.0);
+        // Where the reference begins late, its own rows move the clock: its variance is still large.
+        let change = seen.settle_clock(&mut biases_m, begun, numbers, begins);
+        let miss_m = change.clock_m.unwrap_or(0.0);
         let jump_m = interval_s.filter(|_| graph.motion).and_then(|s| jump_m(miss_m, s));
         match jump_m {
             Some(jump_m) => known.gaussian.shift(CLOCK, jump_m),

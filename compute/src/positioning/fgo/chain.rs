@@ -18,7 +18,7 @@ use crate::positioning::factors::{
     OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{Ranging, SeenRanges, look, rates, sighted};
+use crate::positioning::ranging::{ClockChange, Ranging, SeenRanges, look, rates, sighted};
 use crate::positioning::receiver::{self, ReceiverModel, Signal, common_ionosphere_m};
 use crate::positioning::rivals::Watch;
 use crate::positioning::setup::{GraphSettings, Setup};
@@ -357,7 +357,8 @@ impl Chain {
     }
 
     /// Sets the clock of `guess` and the biases that begin; returns the measured minus the
-    /// predicted clock (m), if a pseudorange measures it.
+    /// predicted clock (m), if a pseudorange measures it. If the reference constellation begins
+    /// after others, all clocks of the window become its clock.
     fn settle_clock(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
         let ChainScratch { factors, numbers, lines, .. } = scratch;
         factors.see(guess, lines);
@@ -367,8 +368,10 @@ impl Chain {
         };
         let seen = SeenRanges { ranges, lines, state: guess };
         let biases_m = &mut self.estimate.border;
-        let clock_m = seen.settle_clock(biases_m, &mut self.begun, numbers, begins);
-        guess[CLOCK] += clock_m.unwrap_or(0.0);
+        let ClockChange { clock_m, reference_m } =
+            seen.settle_clock(biases_m, &mut self.begun, numbers, begins);
+        self.estimate.states.iter_mut().for_each(|state| state[CLOCK] += reference_m);
+        guess[CLOCK] += clock_m.unwrap_or(0.0) + reference_m;
         clock_m
     }
 
@@ -478,9 +481,9 @@ impl Chain {
         scratch: &mut ChainScratch,
         (system, elimination): &mut (System<STATE>, Elimination<STATE>),
     ) -> Result<(), EliminationError> {
+        self.keep_residuals(&mut scratch.lines);
         system.reset(2, self.estimate.border.len());
         let Self { epochs, prior, estimate, .. } = self;
-        self.keep_residuals(&mut scratch.lines);
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen: &mut scratch.seen };
         rows.add_oldest(estimate, system);
         let (per_epoch, slot) = (self.ring != 0, self.epochs[0].factors.slot);
