@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use clap::{Args, Subcommand};
 
-use crate::quotas::{Meters, QuotaError, TenantInfo, TenantQuotas};
+use crate::quotas::{Meters, QuotaError, StoredAmounts, TenantInfo, TenantQuotas};
 use crate::tenant::{Quotas, Tenant};
 
 use super::database::{DatabaseArgument, author};
@@ -112,13 +112,16 @@ fn line(info: &TenantInfo) -> String {
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
     let of = |limit: Option<String>| limit.map_or(String::new(), |limit| format!(" of {limit}"));
     let limit = |limit: Option<u64>| of(limit.map(|limit| limit.to_string()));
+    let amount = |of: fn(&StoredAmounts) -> u64| {
+        stored.as_ref().map_or("unknown".to_owned(), |stored| of(stored).to_string())
+    };
     let mut line = format!(
         "{tenant}: {} sessions{}, {} bytes{}, {} bytes of jobs{}",
-        stored.sessions,
+        amount(|stored| stored.of_sessions.sessions),
         limit(*sessions),
-        stored.stored_bytes,
+        amount(|stored| stored.of_sessions.stored_bytes),
         limit(*stored_bytes),
-        info.job_bytes,
+        amount(|stored| stored.job_bytes),
         limit(*job_bytes)
     );
     let rates = [(epochs_per_s, "epochs a second"), (cpu_s_per_minute, "s of processor a minute")];

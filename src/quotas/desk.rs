@@ -56,8 +56,15 @@ pub struct TenantInfo {
     pub quotas: Quotas,
     /// Its recent use.
     pub rates: Rates,
-    /// The amount that it has stored.
-    pub stored: TenantUse,
+    /// The amounts that it has stored; `None` if they cannot be counted.
+    pub stored: Option<StoredAmounts>,
+}
+
+/// The amounts that a tenant has stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StoredAmounts {
+    /// Its sessions, with their epochs and solutions.
+    pub of_sessions: TenantUse,
     /// Bytes of the files of its jobs and uploads.
     pub job_bytes: u64,
 }
@@ -81,12 +88,13 @@ impl Meters {
         by_tenant.values().cloned().collect()
     }
 
-    /// Reads the quotas that were set since the last read.
+    /// Reads the quotas that were set since the last read. If the amounts of a tenant cannot be
+    /// counted, its quotas are in force with the amounts that are known.
     async fn refresh(&self, store: &Store) -> Result<(), StoreError> {
         for row in store.changed_tenants(self.0.changed.load(Ordering::Acquire)).await? {
             self.of(&row.tenant).set(row.quotas);
             self.0.changed.fetch_max(row.changed, Ordering::AcqRel);
-            count(store, &self.of(&row.tenant)).await?;
+            count(store, &self.of(&row.tenant)).await;
         }
         Ok(())
     }
@@ -133,7 +141,7 @@ impl TenantQuotas {
     pub async fn get(&self, tenant: &Tenant) -> Result<TenantInfo, QuotaError> {
         let row = self.0.store.tenant(tenant).await?;
         let name = tenant.to_string();
-        self.info(row.ok_or(QuotaError::NotFound { name })?).await
+        Ok(self.info(row.ok_or(QuotaError::NotFound { name })?).await)
     }
 
     /// Up to `count` tenants in order of their names, after this name.
@@ -143,17 +151,23 @@ impl TenantQuotas {
     pub async fn list(&self, after: &str, count: usize) -> Result<Vec<TenantInfo>, QuotaError> {
         let mut list = Vec::new();
         for row in self.0.store.tenants(after, count as i64).await? {
-            list.push(self.info(row).await?);
+            list.push(self.info(row).await);
         }
         Ok(list)
     }
 
-    async fn info(&self, row: TenantRow) -> Result<TenantInfo, QuotaError> {
+    async fn info(&self, row: TenantRow) -> TenantInfo {
         let TenantRow { tenant, created_unix_ms, quotas, changed } = row;
-        let stored = self.0.store.tenant_use(&tenant).await?;
-        let job_bytes = self.0.store.tenant_job_bytes(&tenant).await?;
+        let stored = self.stored(&tenant).await;
+        let stored = stored.inspect_err(|error| uncounted(&tenant, error)).ok();
         let rates = self.0.meters.of(&tenant).rates();
-        Ok(TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored, job_bytes })
+        TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored }
+    }
+
+    async fn stored(&self, tenant: &Tenant) -> Result<StoredAmounts, StoreError> {
+        let of_sessions = self.0.store.tenant_use(tenant).await?;
+        let job_bytes = self.0.store.tenant_job_bytes(tenant).await?;
+        Ok(StoredAmounts { of_sessions, job_bytes })
     }
 
     /// Stops following changes. After this the desk no longer uses the store on its own.
@@ -199,22 +213,30 @@ async fn keep(store: Store, meters: Meters) {
         if is_current && COUNT_INTERVAL <= counted.elapsed() {
             counted = Instant::now();
             for meter in meters.all() {
-                if let Err(error) = count(&store, &meter).await {
-                    tracing::warn!(%error, "the bytes of a tenant are not counted");
-                }
+                count(&store, &meter).await;
             }
         }
     }
 }
 
-/// Counts in the store the amounts for which a tenant has a quota.
-async fn count(store: &Store, meter: &Meter) -> Result<(), StoreError> {
-    let quotas = meter.quotas();
+/// Counts in the store the amounts for which a tenant has a quota. If this fails, the last amounts
+/// stay.
+async fn count(store: &Store, meter: &Meter) {
+    let (tenant, quotas) = (meter.tenant(), meter.quotas());
     if quotas.is_of_stored() {
-        meter.set_stored(store.tenant_use(meter.tenant()).await?);
+        match store.tenant_use(tenant).await {
+            Ok(stored) => meter.set_stored(stored),
+            Err(error) => uncounted(tenant, &error),
+        }
     }
     if quotas.job_bytes.is_some() {
-        meter.set_job_bytes(store.tenant_job_bytes(meter.tenant()).await?);
+        match store.tenant_job_bytes(tenant).await {
+            Ok(bytes) => meter.set_job_bytes(bytes),
+            Err(error) => uncounted(tenant, &error),
+        }
     }
-    Ok(())
+}
+
+fn uncounted(tenant: &Tenant, error: &StoreError) {
+    tracing::warn!(%tenant, %error, "what a tenant has stored is not counted");
 }

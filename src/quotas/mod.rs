@@ -14,6 +14,6 @@ mod error;
 mod meter;
 mod window;
 
-pub use desk::{Meters, TenantInfo, TenantQuotas};
+pub use desk::{Meters, StoredAmounts, TenantInfo, TenantQuotas};
 pub use error::QuotaError;
 pub use meter::{Meter, Rates};

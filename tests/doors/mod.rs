@@ -24,6 +24,7 @@ mod image;
 mod interface;
 mod job_aiding;
 mod job_events;
+mod job_names;
 mod job_observations;
 mod job_reports;
 mod job_sessions;

@@ -12,7 +12,8 @@ interface Tenant {
   createdUtc: string;
   /** Null: no limit. */
   quotas: Record<Name, number | null>;
-  used: Record<Name, number>;
+  /** Null: it cannot be counted at present. */
+  used: Record<Name, number> | null;
   etag: string;
 }
 
@@ -84,17 +85,19 @@ function TenantCard({ of: tenant, mayChange, onChanged }: { of: Tenant; mayChang
   );
 }
 
-/** The used fraction of a quota; undefined without a limit. */
+/** The used fraction of a quota; undefined without a limit, and if the use is unknown. */
 function partOf({ quotas, used }: Tenant, name: Name): number | undefined {
   const quota = quotas[name];
   if (quota === null || quota === undefined) return undefined;
-  return quota === 0 ? 1 : used[name] / quota;
+  return quota === 0 ? 1 : used ? used[name] / quota : undefined;
 }
 
 function QuotaRow({ of: tenant, kind: { name, words, text } }: { of: Tenant; kind: Kind }) {
   const part = partOf(tenant, name);
-  const use = text(tenant.used[name]);
-  if (part === undefined) return <li><span class="share-name">{words} <span class="small">{use}, no limit</span></span></li>;
+  const quota = tenant.quotas[name];
+  const limit = quota === null || quota === undefined ? "no limit" : `of ${text(quota)}`;
+  const use = tenant.used ? text(tenant.used[name]) : "unknown";
+  if (part === undefined) return <li><span class="share-name">{words} <span class="small">{use}, {limit}</span></span></li>;
   const colour = part <= NEARLY ? "var(--accent)" : part < 1 ? "var(--warn)" : "var(--bad)";
   return <Share name={<>{words} <span class="small">{use} of {text(tenant.quotas[name] ?? 0)}</span></>} part={part} colour={colour} />;
 }

@@ -117,8 +117,7 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
 const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {
-    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored, job_bytes: used } =
-        info;
+    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored } = info;
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
     let quotas =
         v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
@@ -126,12 +125,12 @@ fn message(info: TenantInfo) -> v1::Tenant {
         tenant: tenant.to_string(),
         created_utc: utc(created_unix_ms),
         quotas: Some(quotas),
-        used: Some(v1::TenantUse {
-            sessions: stored.sessions,
+        used: stored.map(|stored| v1::TenantUse {
+            sessions: stored.of_sessions.sessions,
             epochs_per_s: rates.epochs_per_s,
             cpu_s_per_minute: rates.cpu_s_per_minute,
-            stored_bytes: stored.stored_bytes,
-            job_bytes: used,
+            stored_bytes: stored.of_sessions.stored_bytes,
+            job_bytes: stored.job_bytes,
         }),
         etag: changed.to_string(),
         create_time: timestamp(created_unix_ms),

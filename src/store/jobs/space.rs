@@ -36,7 +36,11 @@ impl Store {
                 "json_extract(input.value, '$.bytes')"
             ),
             Pool::Postgres { .. } => bytes_of_files!(
-                "jsonb_array_elements(CAST(request AS JSONB) -> 'inputs')",
+                // JSONB has no NUL. Requests that were stored without a check of their names may
+                // have the escape of one after an even number of backslashes.
+                r"jsonb_array_elements(CAST(CASE WHEN 0 < strpos(request, '\u0000')
+                    THEN regexp_replace(request, '(?<!\\)((\\\\)*)\\u0000', '\1', 'g')
+                    ELSE request END AS JSONB) -> 'inputs')",
                 "input ->> 'hash'",
                 "CAST(input ->> 'bytes' AS BIGINT)"
             ),
