@@ -36,6 +36,17 @@ pub(super) fn check_label(label: &str) -> Result<(), Refusal> {
     check("label", label, usize::MAX)
 }
 
+/// Checks the name of a file on the user's side. `field` names the part or header that has it.
+///
+/// # Errors
+/// [`Code::InvalidField`].
+pub(super) fn check_file_name(field: &str, name: &str) -> Result<(), Refusal> {
+    check(field, name, NAME_MAX).map_err(|mut refusal| {
+        refusal.message = format!("the name of the file: {}", refusal.message);
+        refusal
+    })
+}
+
 /// Checks names, each with its field.
 ///
 /// # Errors

@@ -22,8 +22,6 @@ use super::state::Desk;
 use super::{JobError, Jobs};
 
 const MS_PER_HOUR: i64 = 3_600_000;
-/// Longest name of a file (characters).
-const NAME_MAX: usize = 200;
 
 /// Marks an [`Id`] as an upload's.
 #[derive(Debug)]
@@ -83,7 +81,7 @@ impl Jobs {
         let kept_ms = i64::from(limits.upload_hours) * MS_PER_HOUR;
         let row = JobUploadRow {
             id: UploadId::random().to_string(),
-            name: name.chars().take(NAME_MAX).collect(),
+            name: name.to_owned(),
             bytes: i64::try_from(length).unwrap_or(i64::MAX),
             hash: None,
             expires_unix_ms: self.unix_ms() + kept_ms,

@@ -1,13 +1,22 @@
-//! Names of the files of jobs: a name that an earlier version has stored stops nothing.
+//! Names of the files of jobs: each way in refuses what cannot be stored and printed, and a name
+//! that an earlier version has stored stops nothing.
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use futures::stream;
+use graphfix::contract::v1;
+use graphfix::contract::v1::create_job_request::Content;
+use graphfix::grpc::code_of;
+use graphfix::grpc::v1::jobs_client::JobsClient;
 use serde_json::{Value, json};
 
 use crate::support::database::{Database, on_both_databases, on_postgres};
-use crate::support::doors::Doors;
-use crate::support::jobs::{BOUNDARY, MINUTE};
+use crate::support::doors::{Doors, code};
+use crate::support::jobs::{BOUNDARY, MINUTE, body};
 
+use super::jobs::post;
 use super::tenants::world::{Key, asked, get, key_of, operator, sent};
 
 on_both_databases!(a_stored_name_with_a_nul_stops_nothing);
@@ -21,6 +30,41 @@ async fn job_of(doors: &Doors, key: &Key) -> String {
     assert_eq!(answer.status, StatusCode::CREATED, "{}", answer.text);
     let job: Value = serde_json::from_str(&answer.text).unwrap();
     job["job"].as_str().unwrap().to_owned()
+}
+
+#[tokio::test]
+async fn names_are_short_and_printable() {
+    let doors = Doors::open().await;
+    let long = "x".repeat(201);
+    for name in ["a\0b", "a\nb", "\u{1b}[31m", "\u{85}", &long] {
+        let begin = v1::JobPart { part: "rover".to_owned(), name: name.to_owned() };
+        let begin = v1::CreateJobRequest { content: Some(Content::Part(begin)) };
+        let mut client = JobsClient::new(doors.router.clone());
+        let refused = client.create(stream::iter([begin])).await.unwrap_err();
+        assert_eq!(code_of(&refused).as_deref(), Some("INVALID_FIELD"), "{name:?}: {refused}");
+
+        let metadata = format!("filename {}", STANDARD.encode(name));
+        let upload = Request::post("/v1/uploads").header("tus-resumable", "1.0.0");
+        let upload = upload.header("upload-length", "1").header("upload-metadata", metadata);
+        let (status, refused) = doors.ask(upload.body(Body::empty()).unwrap()).await;
+        let got = (status.as_u16(), code(&refused), refused["field"].as_str());
+        assert_eq!(got, (400, "INVALID_FIELD", Some("Upload-Metadata")), "{name:?}");
+
+        let url = format!("http://127.0.0.1:9/{name}{long}");
+        let url = if name == long { url.repeat(10) } else { url };
+        let options = json!({"urls": [{"part": "rover", "url": url}]}).to_string();
+        let (status, refused) = post(&doors, body(&[("options", options.as_bytes())]), &[]).await;
+        let got = (status.as_u16(), code(&refused), refused["field"].as_str());
+        assert_eq!(got, (400, "INVALID_FIELD", Some("options.urls[0].url")), "{name:?}");
+    }
+    for name in [&long, "\u{85}"] {
+        let content = MINUTE.body(&json!({}));
+        let named = format!("filename=\"{name}\"");
+        let content = String::from_utf8(content).unwrap().replace("filename=\"a.file\"", &named);
+        let (status, refused) = post(&doors, content.into_bytes(), &[]).await;
+        let got = (status.as_u16(), code(&refused), refused["field"].as_str());
+        assert_eq!(got, (400, "INVALID_FIELD", Some("rover")), "{name:?}: {refused}");
+    }
 }
 
 /// The database has names that contain a NUL, and the six characters of its escape. The tenant's

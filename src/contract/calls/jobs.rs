@@ -56,7 +56,8 @@ impl Arriving {
     /// Begins the file of a part. `name` is the name of the file on the user's side.
     ///
     /// # Errors
-    /// There is no such part, the limit of files is reached, or the disk fails.
+    /// There is no such part, the name is too long or has a control character, the limit of files
+    /// is reached, or the disk fails.
     pub async fn begin(&mut self, part: &str, name: &str) -> Result<ArrivingPart, Refusal> {
         let part = Part::from_name(part).ok_or_else(|| {
             let given = texts::brief(part);
@@ -65,9 +66,10 @@ impl Arriving {
             );
             Refusal::new(Code::UnknownField, message).at(given)
         })?;
+        texts::check_file_name(part.name(), name)?;
         let file = self.upload.begin().await;
         let file = file.map_err(|error| Refusal::from(error).at(part.name()))?;
-        Ok(ArrivingPart { part, name: texts::brief(name).to_owned(), file })
+        Ok(ArrivingPart { part, name: name.to_owned(), file })
     }
 
     /// Stores a file that has arrived.
@@ -129,14 +131,16 @@ impl Arriving {
 /// The URLs that are given instead of files.
 ///
 /// # Errors
-/// There is no such part.
+/// There is no such part, or a URL is too long or has a control character.
 fn input_urls(urls: Vec<v1::JobUrl>) -> Result<Vec<InputUrl>, Refusal> {
     let url = |(index, v1::JobUrl { part, url })| {
         let unknown = || {
             let message = format!("{:?} is not rover, navigation or base", texts::brief(&part));
             Refusal::new(Code::InvalidField, message).at(format!("options.urls[{index}].part"))
         };
-        Ok(InputUrl { part: Part::from_name(&part).ok_or_else(unknown)?, url })
+        let part = Part::from_name(&part).ok_or_else(unknown)?;
+        texts::check(&format!("options.urls[{index}].url"), &url, texts::ADDRESS_MAX)?;
+        Ok(InputUrl { part, url })
     };
     urls.into_iter().enumerate().map(url).collect()
 }

@@ -22,9 +22,10 @@ pub struct Answer {
 /// Begins an upload of a file of this size. `name` is the name of the file on the user's side.
 ///
 /// # Errors
-/// The service takes no jobs, the file is too large, or the tenant's limit of uploads is
-/// reached.
+/// The name is too long or has a control character, the service takes no jobs, the file is too
+/// large, or the tenant's limit of uploads is reached.
 pub async fn create(caller: &Caller, name: &str, length: u64) -> Result<Answer, Refusal> {
+    texts::check_file_name("Upload-Metadata", name)?;
     Ok(Answer::of(&caller.jobs().begin_upload(name, length).await?))
 }
 
