@@ -193,11 +193,13 @@ impl Archive {
             code: Code::FileUnreadable,
             message: format!("{url}: {message}"),
         })?;
-        let source = url.to_string();
+        // Everybody who uses the ephemerides sees their source.
+        let source = url.without_query();
         let pushed = self.navigation.push(navigation, &source).await;
         let pushed = pushed.map_err(|error| FeedProblem::from(&error))?;
         self.health.add(pushed.new as u64);
-        tracing::info!(%url, received = pushed.received, new = pushed.new, "ephemerides fetched");
+        let (received, new) = (pushed.received, pushed.new);
+        tracing::info!(url = source, received, new, "ephemerides fetched");
         Ok(())
     }
 }

@@ -21,6 +21,8 @@ const BYTES_MAX: usize = 64 << 20;
 pub(crate) struct ArchivedFile {
     /// Its URL.
     pub(crate) url: Url,
+    /// Start of the time that it covers.
+    pub(crate) from: GpsTime,
     /// Its bytes, plain or gzip.
     pub(crate) content: Vec<u8>,
 }
@@ -78,14 +80,14 @@ pub(crate) async fn files(
 ) -> Result<Vec<ArchivedFile>, WebError> {
     let (mut found, mut at, mut bytes) = (Vec::new(), from, 0);
     for _ in 0..FILES_MAX {
-        let Some((_, end)) = template.span(at).filter(|_| at <= until) else { break };
+        let Some((start, end)) = template.span(at).filter(|_| at <= until) else { break };
         let url = template.at(at)?;
         if let Some(content) = tried(connector, &url).await? {
             bytes += content.len();
             if BYTES_MAX < bytes {
                 return Err(WebError::TooLarge { limit: BYTES_MAX });
             }
-            found.push(ArchivedFile { url, content });
+            found.push(ArchivedFile { url, from: start, content });
         }
         at = end;
     }

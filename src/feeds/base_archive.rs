@@ -17,7 +17,7 @@ use crate::refusal::Code;
 use super::archive::{PACKED_LIMIT, UNPACKED_LIMIT};
 use super::health::{BaseArchiveHealth, FeedProblem, SourceState};
 use super::stop::stopped;
-use super::web::{self, Fetched, Validators, WebError};
+use super::web::{self, Fetched, Validators, WebError, without_query};
 use super::{ArchiveTemplate, Backoff, Connector, FeedOptions};
 
 /// A file is complete if it is fetched this long after the end of its time (ms).
@@ -181,7 +181,8 @@ impl BaseArchive {
             Err((problem, retry_after)) => {
                 let FeedProblem { code, message } = problem;
                 if file.problem.as_ref().is_none_or(|before| before.code != code) {
-                    tracing::warn!(%code, base = %self.base, %url, %message, "no file of a base");
+                    let url = without_query(&url);
+                    tracing::warn!(%code, base = %self.base, url, %message, "no file of a base");
                 }
                 file.failures += 1;
                 // Fetched again even if unchanged, because the failure may have been on this side.
@@ -223,7 +224,8 @@ impl BaseArchive {
         let is_new = |epoch: &&CommittedEpoch| !epoch.resent;
         let new = outcomes.iter().flatten().filter(is_new).count() as u64;
         let refusal = outcomes.iter().find_map(|outcome| outcome.as_ref().err());
-        tracing::info!(base = %self.base, %url, epochs = new, "a file of a base was fetched");
+        let (base, shown) = (&self.base, without_query(url));
+        tracing::info!(%base, url = shown, epochs = new, "a file of a base was fetched");
         let mut health = self.status.write();
         health.files += 1;
         health.bytes += bytes as u64;

@@ -45,7 +45,7 @@ async fn follow(
             Some(to) => at = on_same_host(&at, &to)?,
         }
     }
-    Err(WebError::Redirected { location: at.to_string() })
+    Err(WebError::Redirected { location: at.without_query() })
 }
 
 /// Sends the chunks of an answer, or returns the URL to which it redirects.

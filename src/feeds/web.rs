@@ -70,6 +70,18 @@ impl FromStr for Url {
     }
 }
 
+impl Url {
+    /// The URL without its query, which may contain a token. Logs have it in this form.
+    pub(crate) fn without_query(&self) -> String {
+        without_query(&self.to_string()).to_owned()
+    }
+}
+
+/// A URL or a template of URLs without its query.
+pub(super) fn without_query(url: &str) -> &str {
+    url.split(['?', '#']).next().unwrap_or_default()
+}
+
 /// A text for a message: shortened, and without a user and password before the host.
 fn without_password(text: &str) -> String {
     let (scheme, rest) = text.split_at(text.find("//").map_or(0, |at| at + 2));
@@ -130,7 +142,7 @@ pub enum WebError {
     /// followed.
     #[error("the host redirects to {location}, which is not followed")]
     Redirected {
-        /// The URL of the redirection.
+        /// The URL of the redirection, without its query.
         location: String,
     },
     /// The answer is not HTTP.
@@ -211,12 +223,12 @@ async fn follow(
             Answer::Elsewhere(to) => at = on_same_host(&at, &to)?,
         }
     }
-    Err(WebError::Redirected { location: at.to_string() })
+    Err(WebError::Redirected { location: at.without_query() })
 }
 
 /// The URL of a redirection, if it is on the same host.
 pub(super) fn on_same_host(from: &Url, to: &str) -> Result<Url, WebError> {
-    let elsewhere = || WebError::Redirected { location: shown(to.as_bytes()) };
+    let elsewhere = || WebError::Redirected { location: shown(without_query(to).as_bytes()) };
     let Url { host, port, is_tls, .. } = from;
     // Two slashes begin the name of another host.
     let is_path = to.starts_with('/') && !to.starts_with("//");
@@ -396,6 +408,15 @@ mod tests {
         assert!(path.starts_with("\"http://a.example:99999/b@c\" is not a URL"), "{path}");
         let long = format!("ftp://{}", "a".repeat(5000)).parse::<Url>().unwrap_err();
         assert!(long.to_string().len() < 300);
+    }
+
+    #[test]
+    fn logs_and_refusals_show_no_query() {
+        let url: Url = "https://a.example/b?token=secret".parse().unwrap();
+        assert_eq!(url.without_query(), "https://a.example:443/b");
+        let elsewhere = on_same_host(&url, "https://b.example/b?token=secret").unwrap_err();
+        let expected = "the host redirects to https://b.example/b, which is not followed";
+        assert_eq!(elsewhere.to_string(), expected);
     }
 
     #[test]

@@ -1,22 +1,25 @@
 //! Jobs whose files lack ephemerides or a base, which the service supplies: present ephemerides,
 //! those of an archive, or its own base.
 
-use axum::http::StatusCode;
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
 use graphfix::aiding::bases::{BaseId, NewBase};
 use graphfix::config::JobsConfiguration;
 use graphfix::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch};
 use serde_json::{Value, json};
 
-use crate::support::casters::{HostileCaster, gzip};
+use crate::support::casters::{HostileCaster, answer, gzip};
 use crate::support::data;
 use crate::support::doors::{Doors, code};
 use crate::support::drive::DRIVE;
-use crate::support::jobs::{MINUTE, body};
+use crate::support::jobs::{BOUNDARY, MINUTE, body, has_ended};
 use crate::support::pair::{PAIR, Pair};
 use crate::support::sessions::new_session;
+use crate::support::wait::until;
 
 use super::job_urls::host;
 use super::jobs::{bytes_of, created, ended, post};
+use super::tenants::world::{Key, asked, base, get, key_of, marker, operator, sent};
 
 async fn doors() -> Doors {
     Doors::with_jobs(JobsConfiguration::standard()).await
@@ -115,7 +118,7 @@ async fn ephemerides_of_an_old_recording_come_from_an_archive() {
     let own = result(&doors, &done).await;
     assert_eq!(own, MINUTE.solved(&["--mode", "fgo"], "pos"));
     let said = provenance(&doors, &done).await;
-    assert!(said.contains("/2026/001/nav.rnx.gz"), "{said}");
+    assert!(said.contains("an archive's ephemerides of 2026-01-01 00:00"), "{said}");
 }
 
 /// The ephemerides that a receiver has decoded come before all others, as in `solve`.
@@ -252,4 +255,54 @@ async fn an_archive_that_is_silent_ends_the_job() {
     let done = done(&doors, &parts).await;
     let (code_of, _, message) = failure(&done);
     assert_eq!((code_of, message), ("HOST_SLOW", "the archives took longer than 1 s"));
+}
+
+/// A job of a tenant that has ended, and all that the tenant sees of it.
+async fn seen_by(doors: &Doors, key: &Key, parts: &[(&str, &[u8])]) -> (Value, String) {
+    let kind = format!("multipart/form-data; boundary={BOUNDARY}");
+    let create = Request::post("/v1/jobs").header("content-type", kind);
+    let answer = sent(doors, key, create.body(Body::from(body(parts))).unwrap()).await;
+    assert_eq!(answer.status, StatusCode::CREATED, "{}", answer.text);
+    let job: Value = serde_json::from_str(&answer.text).unwrap();
+    let path = format!("/v1/jobs/{}", job["job"].as_str().unwrap());
+    let job = until("ended", async || get(doors, key, &path).await, has_ended).await;
+    let (_, report) = asked(doors, key, "GET", &format!("{path}/report"), Value::Null).await;
+    let text = format!("{job} {report}");
+    (job, text)
+}
+
+/// The addresses of the operator's archives have tokens. Jobs of other tenants name neither.
+#[tokio::test]
+async fn jobs_of_others_show_no_address_of_an_archive() {
+    let path = "/2026/001/nav.rnx.gz?token=secret";
+    let archive = host(vec![(path, gzip(&MINUTE.navigation))]).await;
+    let template =
+        format!("http://127.0.0.1:{}/{{yyyy}}/{{ddd}}/nav.rnx.gz?token=secret", archive.port);
+    let doors = Doors::with_archives(vec![template]).await;
+    let operator = operator(&doors).await;
+    let key = key_of(&doors, &operator, "a", "").await;
+    let is_hidden = |text: &str| !text.contains("secret") && !text.contains("127.0.0.1");
+    for key in [&key, &operator] {
+        let (job, text) = seen_by(&doors, key, &[("rover", &MINUTE.rover)]).await;
+        assert_eq!(job["state"], "SUCCEEDED", "{job}");
+        assert!(is_hidden(&text), "{text}");
+    }
+
+    let elsewhere = answer("302 Found\r\nLocation: http://127.0.0.1:9/b?token=secret", b"");
+    let redirecting = HostileCaster::answering(elsewhere).await;
+    let template =
+        format!("http://127.0.0.1:{}/{{yyyy}}{{mm}}{{dd}}.obs?token=secret", redirecting.port);
+    let new = json!({"marker": marker(), "archive": {"template": template}});
+    let base = base(&doors, &operator, new).await;
+    let options = json!({"base": base}).to_string();
+    let (rover, navigation) = (PAIR.rover_file(), navigation_of(&PAIR));
+    let parts =
+        [("rover", &rover[..]), ("navigation", &navigation), ("options", options.as_bytes())];
+    let (job, text) = seen_by(&doors, &key, &parts).await;
+    let (code, _, message) = failure(&job);
+    assert_eq!(code, "BASE_REQUIRED", "{message}");
+    assert!(message.contains("gives no file: HOST_REDIRECTS") && is_hidden(&text), "{text}");
+    let (job, _) = seen_by(&doors, &operator, &parts).await;
+    let own = failure(&job).2;
+    assert!(own.contains("redirects to http://127.0.0.1:9/b, which") && !own.contains("secret"));
 }

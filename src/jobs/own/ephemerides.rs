@@ -2,14 +2,15 @@
 
 use tokio::task::spawn_blocking;
 
-use crate::feeds::{ArchivedFile, NavigationArchives};
+use crate::feeds::{ArchivedFile, NavigationArchives, WebError};
 use crate::formats::rinex::{read_navigation, write_navigation};
 use crate::gnss::constants::SECONDS_PER_HOUR;
-use crate::gnss::{Ephemeris, GpsTime, Navigation};
+use crate::gnss::{CivilTime, Ephemeris, GpsTime, LeapSeconds, Navigation, TimeScale};
 use crate::jobs::Failure;
 use crate::recording::InForce;
 use crate::refusal::Code;
 
+use super::addresses::Addresses;
 use super::background::in_background;
 
 /// Name of the input with the service's ephemerides.
@@ -24,7 +25,7 @@ const BEFORE_S: f64 = 2.0 * SECONDS_PER_HOUR;
 pub(super) type Ephemerides = (String, Vec<u8>, Navigation);
 
 /// The files of ephemerides to add for a span of time, each with its name: those that the service
-/// has (`now`), or those of the archives.
+/// has (`now`), or those of the archives. Failures name the archives as `addresses` states.
 ///
 /// # Errors
 /// There are no ephemerides of that time, or they cannot be written.
@@ -32,6 +33,7 @@ pub(super) async fn chosen(
     now: &Navigation,
     archives: Option<&NavigationArchives>,
     span: Option<(GpsTime, GpsTime)>,
+    addresses: Addresses,
 ) -> Result<Vec<Ephemerides>, Failure> {
     let mut own = now.clone();
     own.retain(Ephemeris::is_legacy);
@@ -40,7 +42,7 @@ pub(super) async fn chosen(
     if in_force != InForce::Always
         && let (Some(span), Some(archives)) = (span, archives)
     {
-        match archived(archives, span).await {
+        match archived(archives, span, addresses).await {
             Ok(files) if files.is_empty() => {}
             Ok(files) => return Ok(files),
             Err(why) => problem = Some(why),
@@ -80,11 +82,13 @@ pub(super) async fn chosen(
 async fn archived(
     archives: &NavigationArchives,
     (from, until): (GpsTime, GpsTime),
+    addresses: Addresses,
 ) -> Result<Vec<Ephemerides>, String> {
     let files = archives.files((from - BEFORE_S, until)).await;
+    let unavailable = |error: WebError| addresses.failure("an archive of the service", &error);
     let (mut all, mut problem) = (Vec::new(), None);
-    for file in files.map_err(|error| error.to_string())? {
-        match spawn_blocking(|| read(file)).await {
+    for file in files.map_err(unavailable)? {
+        match spawn_blocking(move || read(file, addresses)).await {
             Ok(Ok(read)) => all.push(read),
             Ok(Err(why)) => problem = Some(why),
             Err(panic) => problem = Some(panic.to_string()),
@@ -93,12 +97,22 @@ async fn archived(
     problem.filter(|_| all.is_empty()).map_or(Ok(all), Err)
 }
 
-fn read(file: ArchivedFile) -> Result<Ephemerides, String> {
-    let url = &file.url;
-    let read = read_navigation(file.unpacked()).map_err(|error| format!("{url}: {error}"));
+fn read(file: ArchivedFile, addresses: Addresses) -> Result<Ephemerides, String> {
+    let name = named(file.from);
+    let shown = || addresses.file(&file.url, &name);
+    let read = read_navigation(file.unpacked()).map_err(|error| format!("{}: {error}", shown()));
     let navigation = read?.0;
     match navigation.is_empty() {
-        true => Err(format!("{url}: the file has no ephemerides")),
-        false => Ok((url.to_string(), file.content, navigation)),
+        true => Err(format!("{}: the file has no ephemerides", shown())),
+        false => Ok((name, file.content, navigation)),
     }
+}
+
+/// The name of the input with a file of an archive. Every user of the job sees it.
+fn named(from: GpsTime) -> String {
+    let CivilTime { year, month, day, hour, minute, .. } =
+        from.to_civil(TimeScale::Gps, &LeapSeconds::table());
+    format!(
+        "an archive's ephemerides of {year:04}-{month:02}-{day:02} {hour:02}:{minute:02} GPS time"
+    )
 }

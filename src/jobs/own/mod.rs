@@ -12,6 +12,7 @@
 //! - **A base** is the one in the request, otherwise the nearest one. Its epochs are the stored
 //!   ones of that time, or those of its archive's files.
 
+mod addresses;
 mod background;
 mod base_epochs;
 mod ephemerides;
@@ -26,7 +27,7 @@ use tokio::time::timeout;
 
 use crate::aiding::AidingDesk;
 use crate::aiding::bases::{BaseFile, BaseId, PastBase};
-use crate::feeds::{ArchiveTemplate, archived_files};
+use crate::feeds::{ArchiveTemplate, WebError, archived_files};
 use crate::formats::receiver::TimeReference;
 use crate::gnss::{Ecef, GpsTime, Navigation};
 use crate::recording::{Input, RecordingError, Survey};
@@ -44,6 +45,7 @@ use super::run::failed;
 use super::state::{Desk, LOOK, Running, unless_stopped};
 use super::watched::Watched;
 
+use addresses::Addresses;
 use background::in_background;
 use base_epochs::{BaseEpochs, BaseText, covers, named};
 use ephemerides::chosen;
@@ -106,7 +108,8 @@ impl Adding<'_> {
             false => navigation,
             true => {
                 let now = aiding.navigation.of(&self.tenant).current().navigation;
-                let chosen = chosen(&now, self.desk.archives.as_ref(), span);
+                let addresses = Addresses::of(&Tenant::operator(), &self.tenant);
+                let chosen = chosen(&now, self.desk.archives.as_ref(), span, addresses);
                 let Some(chosen) = self.awaited(chosen).await? else { return Ok(None) };
                 let mut all = Navigation::default();
                 for (name, content, navigation) in chosen? {
@@ -339,18 +342,21 @@ impl Adding<'_> {
         (span, age_s): ((GpsTime, GpsTime), f64),
         aiding: &AidingDesk,
     ) -> Result<Option<BaseEpochs>, String> {
-        let template = ArchiveTemplate::new(template).map_err(|error| error.to_string())?;
+        let addresses = Addresses::of(offer.tenant(), &self.tenant);
+        let archive = format!("the archive of base {}", offer.id());
+        let failed = |error: WebError| addresses.failure(&archive, &error);
+        let template = ArchiveTemplate::new(template).map_err(|error| failed(error.into()))?;
         let connector = self.desk.connector.of(offer.tenant());
         let (begin, end) = PastBase::needed(span, age_s);
-        let files = archived_files(&connector, &template, (begin, end)).await;
-        let files = files.map_err(|error| format!("{template}: {error}"))?;
+        let files = archived_files(&connector, &template, (begin, end)).await.map_err(failed)?;
         let limits = aiding.bases.file_limits();
         let (known, _) = offer.stored(span, age_s);
         let (mut epochs, mut site, urls) = (Vec::new(), known, files.len());
         for file in files {
+            let shown = addresses.file(&file.url, &archive);
             let read = move || {
                 let read = BaseFile::read(file.unpacked(), &limits);
-                read.map_err(|error| format!("{}: {error}", file.url))
+                read.map_err(|error| format!("{shown}: {error}"))
             };
             let read = spawn_blocking(read).await.unwrap_or_else(|panic| Err(panic.to_string()));
             let BaseFile { epochs: all, site: stated, .. } = read?;
@@ -359,7 +365,7 @@ impl Adding<'_> {
             epochs.extend(all.into_iter().filter(is_wanted));
             if limits.bytes < epochs.iter().map(StoredBaseEpoch::size).sum() {
                 let limit = limits.bytes;
-                return Err(format!("{template}: the epochs need more than {limit} bytes"));
+                return Err(format!("{archive}: the epochs need more than {limit} bytes"));
             }
         }
         epochs.sort_by_key(|epoch| epoch.time);
