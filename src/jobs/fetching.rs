@@ -1,7 +1,8 @@
 //! The task that fetches the inputs of jobs that are given as URLs, and adds ephemerides and a base
 //! of the service. A job waits until all inputs are stored.
 //!
-//! Its row is not changed before all inputs are stored: after a restart they are fetched again.
+//! Its row is not changed before all inputs are stored: after a restart, and after a failure of the
+//! database, they are fetched again.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -91,6 +92,16 @@ async fn begin(desk: &Arc<Desk>, fetches: &mut JoinSet<()>, busy: &mut HashMap<I
 async fn of_job(desk: Arc<Desk>, row: JobRow, running: Arc<Running>) {
     let (key, id) = (row.key, row.id.clone());
     let fetched = inputs(&desk, row, &running).await;
+    if let Err(failure) = &fetched
+        && failure.is_of_database()
+        && let Some(delay) = desk.retries.delay(&id)
+    {
+        let message = &failure.message;
+        tracing::warn!(job = %id, %message, "inputs are fetched again, as the database has failed");
+        // None: the job was cancelled, or the service stops.
+        unless_stopped(&running, sleep(delay)).await;
+        return desk.end(&id);
+    }
     desk.end(&id);
     let stored = match fetched {
         Ok(Some((request, _files))) => {

@@ -43,6 +43,7 @@ mod queue;
 mod report;
 mod request;
 mod run;
+mod retries;
 mod shared;
 mod sources;
 mod state;

@@ -77,6 +77,19 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     };
     let (end, bytes) = match ended {
         Ok(Done { bytes, report }) => {
+    if let Err(Ended::Failed(failure)) = &ended
+        && failure.is_of_database()
+        && let Some(delay) = desk.retries.delay(&id)
+    {
+        let message = &failure.message;
+        tracing::warn!(job = %id, %message, "a job is queued again, as the database has failed");
+        give_back(desk, (&id, claim)).await;
+        desk.end(&id);
+        desk.changed();
+        // Err: the time has passed, and the process is not stopping.
+        timeout(delay, desk.stopped()).await.ok();
+        return;
+    }
             let report = serde_json::to_string(&report).expect("texts and numbers are JSON");
             (JobEnd::Succeeded { result: name.clone(), bytes, report }, Some(bytes))
         }
@@ -104,8 +117,19 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
     desk.changed();
 }
 
-/// Ends a claim; repeats until the database accepts it. Returns whether the claim had not ended
-/// before; `None` if this is unknown, because the process stops.
+/// Queues a claimed job again; repeats until the database accepts it or the process stops.
+async fn give_back(desk: &Desk, (id, claim): (&str, JobClaim)) {
+    while let Err(error) = desk.store.return_job(claim).await {
+        if desk.is_stopping() {
+            return; // The claim is lost by its missing heartbeat.
+        }
+        tracing::warn!(%error, job = %id, "a job is not queued again yet");
+        wait(desk, RETRY).await;
+    }
+}
+
+/// Ends a claim; repeats until the database accepts it. Returns whether the claim has ended the
+/// job; `None` if this is unknown, because the process stops.
 async fn end_claim(
     desk: &Desk,
     (id, claim): (&str, JobClaim),

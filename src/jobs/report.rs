@@ -88,6 +88,11 @@ impl Failure {
         }
     }
 
+    /// Whether the database has failed. The job is not at fault.
+    pub(super) fn is_of_database(&self) -> bool {
+        self.code == Code::DatabaseFailed.name()
+    }
+
     pub(super) fn with_remedy(self, remedy: &str) -> Self {
         Self { remedy: remedy.to_owned(), ..self }
     }

@@ -20,6 +20,7 @@ use crate::store::{JobProgress, Store};
 
 use super::files::JobFiles;
 use super::request::{JobRequest, Plan};
+use super::retries::Retries;
 use super::{JobError, JobId};
 
 /// Interval at which a run that waits for a turn checks whether it is stopped.
@@ -55,6 +56,8 @@ pub(super) struct Desk {
     /// Whether the service is stopping.
     pub(super) stopping: watch::Sender<bool>,
     runs: Mutex<HashMap<String, Arc<Running>>>,
+    /// Attempts at jobs that the database has ended.
+    pub(super) retries: Retries,
 }
 
 /// The source of stored bases and ephemerides for a run.
@@ -102,6 +105,7 @@ impl Desk {
             changes: watch::Sender::new(0),
             stopping: watch::Sender::new(false),
             runs: Mutex::default(),
+            retries: Retries::default(),
         }
     }
 

@@ -29,6 +29,7 @@ on_both_databases!(
     another_mode_gives_what_a_session_of_it_has,
     a_base_gives_what_a_session_relative_to_it_has,
     a_deleted_session_fails_its_jobs,
+    a_database_that_fails_for_a_time_fails_no_job,
 );
 
 /// Resolution of positions in CSV (m), and rounding.
@@ -393,4 +394,26 @@ async fn a_session_is_for_keys_that_read() {
         assert_eq!(answer.status.as_u16(), expected, "{answer:?}");
         assert!(expected == 201 || answer.text.contains("RIGHT_MISSING"), "{answer:?}");
     }
+}
+
+/// The table of epochs is missing while a job runs, so its reads fail. The job is queued again, and
+/// succeeds once the table is there.
+async fn a_database_that_fails_for_a_time_fails_no_job(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    given(&doors, &DRIVE.navigation).await;
+    let id = opened(&doors, "spp", BaseChoice::None).await;
+    pushed(&doors, &id, &DRIVE.epochs).await;
+    let turns = all_turns(&doors).await;
+    let job = created(&doors, asked(&json!({"session": id.to_string(), "format": "csv"}))).await;
+    database.execute("ALTER TABLE epochs RENAME TO epochs_elsewhere").await;
+    drop(turns);
+    // Its claim, its return, and its next claim.
+    let fence = async || database.text("SELECT CAST(fence AS TEXT) FROM jobs").await;
+    let is_claimed_again = |fence: &String| 3 <= fence.parse::<u64>().unwrap();
+    crate::support::wait::until("claimed again", fence, is_claimed_again).await;
+    database.execute("ALTER TABLE epochs_elsewhere RENAME TO epochs").await;
+    let done = ended(&doors, &job).await;
+    assert_eq!(done["state"], "SUCCEEDED", "{done}");
+    assert_eq!(rows_of(&doors, &job).await, stored(&doors, &id, "0").await);
+    doors.close().await;
 }
