@@ -11,7 +11,8 @@ use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
 
 use crate::refusal::Code;
 use crate::session::SessionError;
-use crate::store::{JobClaim, JobEnd, JobRow};
+use crate::store::{JobClaim, JobEnd, JobRow, StoreError};
+use crate::tenant::Tenant;
 
 use super::JobError;
 use super::error::EXPIRY;
@@ -61,7 +62,8 @@ async fn wait(desk: &Desk, longest: Duration) {
 
 /// Runs a claimed job and ends it.
 async fn run(desk: &Arc<Desk>, row: JobRow) {
-    let (id, claim, lost_claims) = (row.id.clone(), row.claim(), row.lost_claims);
+    let (tenant, id) = (row.tenant.clone(), row.id.clone());
+    let (claim, lost_claims) = (row.claim(), row.lost_claims);
     let running = desk.begin(&id);
     desk.changed();
     let name = result_name(&id, claim.fence);
@@ -75,8 +77,6 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
             Err(failure) => Err(Ended::Failed(failure)),
         },
     };
-    let (end, bytes) = match ended {
-        Ok(Done { bytes, report }) => {
     if let Err(Ended::Failed(failure)) = &ended
         && failure.is_of_database()
         && let Some(delay) = desk.retries.delay(&id)
@@ -90,6 +90,8 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
         timeout(delay, desk.stopped()).await.ok();
         return;
     }
+    let (end, bytes) = match ended {
+        Ok(Done { bytes, report }) => {
             let report = serde_json::to_string(&report).expect("texts and numbers are JSON");
             (JobEnd::Succeeded { result: name.clone(), bytes, report }, Some(bytes))
         }
@@ -104,12 +106,12 @@ async fn run(desk: &Arc<Desk>, row: JobRow) {
             return desk.end(&id);
         }
     };
-    let is_ended = end_claim(desk, (&id, claim), &end, &running).await;
+    let is_ended = end_claim(desk, (&tenant, &id, claim), &end, &running).await;
     if let (Some(true), Ok(files)) = (is_ended, desk.files()) {
         files.remove_checkpoints(&id).await;
     }
-    // If the job has ended before, its row does not name this file. If that is unknown, the file is
-    // removed once it is old.
+    // If the claim was lost, the row of the job does not name this file. If that is unknown, the
+    // file is removed once it is old.
     if let (Some(false), Some(bytes), Ok(files)) = (is_ended, bytes, desk.files()) {
         files.remove_result(&name, bytes).await;
     }
@@ -132,17 +134,19 @@ async fn give_back(desk: &Desk, (id, claim): (&str, JobClaim)) {
 /// job; `None` if this is unknown, because the process stops.
 async fn end_claim(
     desk: &Desk,
-    (id, claim): (&str, JobClaim),
+    (tenant, id, claim): (&Tenant, &str, JobClaim),
     end: &JobEnd,
     running: &Running,
 ) -> Option<bool> {
     let store = &desk.store;
     loop {
         let ending = async {
-            match store.beat_job(claim, running.progress(), running.cpu()).await? {
-                true => store.end_job(claim, end, desk.arrival_time()).await,
-                false => Ok(false),
-            }
+            let is_ended = store.beat_job(claim, running.progress(), running.cpu()).await?
+                && store.end_job(claim, end, desk.arrival_time()).await?;
+            // An earlier attempt may have ended the job although its answer was lost.
+            Ok::<_, StoreError>(
+                is_ended || store.job(tenant, id).await?.is_some_and(|job| job.was_ended_by(claim)),
+            )
         };
         match ending.await {
             Ok(is_ended) => return Some(is_ended),

@@ -1,13 +1,17 @@
 //! Batch jobs that curl uploads, while `kill -9` ends the service: no job is lost, and none has two
-//! results.
+//! results. The same if the database fails while jobs run.
 
 use std::path::Path;
 use std::process::Command;
 
+use axum::http::StatusCode;
 use serde_json::Value;
 
-use crate::support::database::{Database, on_both_databases};
-use crate::support::jobs::{LONG, until_ended};
+use crate::doors::jobs::{bytes_of, created, ended};
+use crate::support::database::{Database, on_both_databases, on_postgres};
+use crate::support::doors::Doors;
+use crate::support::jobs::{LONG, MINUTE, until_ended};
+use crate::support::proxy::{Mode, Proxy};
 use crate::support::server::{Server, free_port, opened};
 use crate::support::wait::until;
 
@@ -72,4 +76,31 @@ async fn jobs_outlive_kill_9(database: Database) {
     let results = std::fs::read_dir(folder.path().join("jobs/results")).unwrap().count();
     // Each of the two jobs has a result and its figures.
     assert_eq!(results, 4, "results of interrupted runs are left");
+}
+
+/// The database ends a job, and its answer is lost. The job keeps its result.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_lost_answer_of_the_database_loses_no_result() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let doors = Doors::on(&proxy.url(&database.url)).await;
+        proxy.set(Mode::CutAfterEndOfJob);
+        let options = serde_json::json!({"mode": "spp"});
+        let mut jobs = Vec::new();
+        for _ in 0..2 {
+            jobs.push(created(&doors, MINUTE.body(&options)).await);
+        }
+        // The second job runs once the first one is over.
+        for job in &jobs {
+            assert_eq!(ended(&doors, job).await["state"], "SUCCEEDED");
+        }
+        assert_eq!(proxy.mode(), Mode::Pass, "no answer was lost");
+        for job in &jobs {
+            let (status, result) = bytes_of(&doors, &format!("/v1/jobs/{job}/result")).await;
+            assert_eq!(status, StatusCode::OK, "{}", String::from_utf8_lossy(&result));
+            assert_eq!(result, MINUTE.solved(&["--mode", "spp"], "pos"));
+        }
+        doors.close().await;
+    })
+    .await;
 }

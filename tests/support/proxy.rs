@@ -22,7 +22,13 @@ pub(crate) enum Mode {
     /// Closes the connection that commits next. The server has then committed, and the client has
     /// no answer yet.
     CutAfterCommit,
+    /// Closes the connection that ends a job next. The server has then ended it, and the client has
+    /// no answer yet.
+    CutAfterEndOfJob,
 }
+
+/// The statement that ends a job. A connection sends it once, to prepare it, and then executes it.
+const END_OF_JOB: &[u8] = b"UPDATE jobs SET state = $3";
 
 /// Cuts a connection at most this long after `COMMIT`, answered or not.
 const ANSWER: Duration = Duration::from_secs(2);
@@ -78,13 +84,20 @@ async fn forward(mut client: TcpStream, server: SocketAddr, mode: watch::Sender<
     }
     let mut server = TcpStream::connect(server).await.unwrap();
     let (mut sent, mut answered) = (vec![0; 1 << 16], vec![0; 1 << 16]);
+    let mut ends_job = false;
     loop {
         tokio::select! {
             read = client.read(&mut sent) => {
                 let Ok(length @ 1..) = read else { return };
                 let now = thawed(&mut modes).await;
                 let commits = sent[..length].windows(7).any(|bytes| bytes == b"COMMIT\0");
-                let cuts = matches!(now, Mode::CutBeforeCommit | Mode::CutAfterCommit) && commits;
+                let cuts = match now {
+                    Mode::CutBeforeCommit | Mode::CutAfterCommit => commits,
+                    Mode::CutAfterEndOfJob => ends_job,
+                    Mode::Pass | Mode::Frozen | Mode::Refuse => false,
+                };
+                ends_job =
+                    sent[..length].windows(END_OF_JOB.len()).any(|bytes| bytes == END_OF_JOB);
                 if cuts {
                     mode.send_replace(Mode::Pass);
                 }

@@ -106,6 +106,12 @@ impl JobRow {
     pub const fn claim(&self) -> JobClaim {
         JobClaim { key: self.key, fence: self.fence }
     }
+
+    /// Whether the job has ended by this claim. A cancellation, a return and another claim raise
+    /// the fence.
+    pub fn was_ended_by(&self, claim: JobClaim) -> bool {
+        self.state.is_end() && self.claim() == claim
+    }
 }
 
 impl Store {
