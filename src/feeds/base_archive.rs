@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, watch};
-use tokio::time::sleep;
+use tokio::time::{Instant, sleep};
 
 use crate::aiding::BaseBroker;
 use crate::aiding::bases::{BaseFile, BaseFileLimits, BaseId, CommittedEpoch, Coverage};
@@ -49,8 +49,8 @@ impl ArchiveStatus {
 
 /// A file that rovers need.
 struct File {
-    /// When to fetch it next (ms since 1970-01-01 UTC).
-    due_unix_ms: i64,
+    /// When to fetch it next. A step of the clock does not change this.
+    due: Instant,
     failing: Backoff,
     known: Validators,
     /// No more epochs can come from it.
@@ -88,22 +88,22 @@ impl BaseArchive {
     pub(super) async fn run(mut self) {
         let mut files: BTreeMap<GpsTime, File> = BTreeMap::new();
         while self.list(&mut files) {
-            let now = unix_ms();
+            let now = Instant::now();
             let blocking =
                 files.iter().find(|(_, file)| file.blocks_newer()).map(|(start, _)| *start);
             let is_allowed = |start: &GpsTime| blocking.is_none_or(|blocking| *start <= blocking);
             let open = files.iter_mut().filter(|(start, file)| !file.is_done && is_allowed(start));
-            let next = open.min_by_key(|(start, file)| (file.due_unix_ms.max(now), **start));
+            let next = open.min_by_key(|(start, file)| (file.due.max(now), **start));
             let delay = match next {
-                Some((start, file)) if file.due_unix_ms <= now => {
-                    self.status.write().enter(SourceState::Fetching, None, now);
+                Some((start, file)) if file.due <= now => {
+                    self.status.write().enter(SourceState::Fetching, None, unix_ms());
                     if self.fetch(*start, file).await.is_none() {
                         return;
                     }
                     self.report(&files);
                     continue;
                 }
-                Some((_, file)) => Duration::from_millis((file.due_unix_ms - now) as u64),
+                Some((_, file)) => file.due - now,
                 None => LOOK_INTERVAL,
             };
             self.report(&files);
@@ -126,7 +126,7 @@ impl BaseArchive {
         files.retain(|start, _| starts.contains(start));
         for start in starts {
             files.entry(start).or_insert_with(|| File {
-                due_unix_ms: 0,
+                due: Instant::now(),
                 failing: Backoff::new(self.options.file_delay, self.options.file_ceiling),
                 known: Validators::default(),
                 is_done: false,
@@ -168,13 +168,13 @@ impl BaseArchive {
             }
             Err(error) => Err((FeedProblem::from(&error), error.retry_after())),
         };
-        let now = unix_ms();
+        let now = Instant::now();
         match taken {
             Ok(()) => {
-                let is_complete = until < gps_time(now - COMPLETE_AFTER_MS);
+                let is_complete = until < gps_time(unix_ms() - COMPLETE_AFTER_MS);
                 let coverage = self.bases.coverage(&self.base, from, until);
                 file.is_done = is_complete || !matches!(coverage, Ok(Coverage::Incomplete));
-                file.due_unix_ms = now + self.options.file_refresh.as_millis() as i64;
+                file.due = now + self.options.file_refresh;
                 (file.problem, file.failures) = (None, 0);
                 file.failing.reset();
             }
@@ -187,7 +187,7 @@ impl BaseArchive {
                 file.failures += 1;
                 // Fetched again even if unchanged, because the failure may have been on this side.
                 file.known = Validators::default();
-                file.due_unix_ms = now + file.failing.next(retry_after).as_millis() as i64;
+                file.due = now + file.failing.next(retry_after);
                 let message = format!("{url}: {message}");
                 file.problem = Some(FeedProblem { code, message });
             }
@@ -239,11 +239,13 @@ impl BaseArchive {
     /// Updates the health between two files.
     fn report(&self, files: &BTreeMap<GpsTime, File>) {
         let open = || files.values().filter(|file| !file.is_done);
-        let retry = open().map(|file| file.due_unix_ms).min();
+        let (now, unix_ms) = (Instant::now(), unix_ms());
+        let unix_ms_of = |due: Instant| unix_ms + (due - now).as_millis() as i64;
+        let retry = open().map(|file| unix_ms_of(file.due)).min();
         let problem = open().find_map(|file| file.problem.clone());
         let state = if problem.is_some() { SourceState::Waiting } else { SourceState::Current };
         let mut health = self.status.write();
-        health.enter(state, retry, unix_ms());
+        health.enter(state, retry, unix_ms);
         (health.problem, health.missing) = (problem, open().count());
     }
 }

@@ -2,10 +2,14 @@
 //!
 //! Each attempt has a row before it is made. A message is delivered at least once: if the service
 //! stops during an attempt, the outcome is unknown, and another attempt follows.
+//!
+//! Messages are due by the clock of the database, which all nodes share. A step of this clock gives
+//! no message up: its age is counted like that of all that expires. Nor does it delay one for long:
+//! a message that is due later than any delay allows is due at once.
 
 use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::task::{Id, JoinSet};
 use tokio::time::{MissedTickBehavior, interval};
@@ -29,6 +33,9 @@ const ATTEMPTS: usize = 8;
 const OF_TENANT: usize = 2;
 /// Longest delay between two attempts, unless the host asks for a longer one.
 const DELAY_CEILING: Duration = Duration::from_secs(3600);
+/// Longest delay if the host asks for one (ms): twice the longest that it can ask for
+/// ([`Backoff::next`]).
+const LONGEST_DELAY_MS: i64 = 2 * 3_600_000;
 /// Time after which an attempt without an end is followed by another (ms). It is longer than an
 /// attempt takes.
 const FORGOTTEN_MS: i64 = 120_000;
@@ -71,12 +78,14 @@ async fn begin(
     attempts: &mut JoinSet<()>,
     busy: &mut HashMap<Id, Tenant>,
 ) -> Result<(), StoreError> {
-    let (store, limits, now) = (&desk.store, &desk.limits, desk.clock.unix_ms());
+    let (store, limits) = (&desk.store, &desk.limits);
+    let now = store.database_unix_ms().await?;
+    store.correct_due_webhooks(now, now + LONGEST_DELAY_MS).await?;
     let tenants = store.tenants_with_due_webhooks(now).await?;
     if tenants.is_empty() {
         return Ok(());
     }
-    let ended_before = now - i64::from(limits.webhook_hours) * MS_PER_HOUR;
+    let ended_before = store.expiry_time(now) - i64::from(limits.webhook_hours) * MS_PER_HOUR;
     store.give_up_webhooks(now, limits.webhook_attempts, ended_before).await?;
     for tenant in tenants {
         while busy.len() < ATTEMPTS
@@ -94,6 +103,7 @@ async fn begin(
 
 /// Makes an attempt and stores its outcome.
 async fn attempt(desk: Arc<Desk>, due: DueWebhook, begun_unix_ms: i64) {
+    let begun = Instant::now();
     let DueWebhook { job, secret, attempt } = due;
     let connector = desk.connector.of(&job.tenant);
     let (key, id, ended) = (job.key, job.id.clone(), job.ended_unix_ms.unwrap_or(begun_unix_ms));
@@ -101,8 +111,9 @@ async fn attempt(desk: Arc<Desk>, due: DueWebhook, begun_unix_ms: i64) {
         Ok(job) => sent(&connector, &job, &secret, begun_unix_ms).await,
         Err(error) => Made::failed(error.code(), error.to_string()),
     };
-    let now = desk.clock.unix_ms();
-    let end = made.end(attempt, &desk.limits, (ended, now));
+    let now = begun_unix_ms + begun.elapsed().as_millis() as i64;
+    let age_ms = desk.store.expiry_time(now) - ended;
+    let end = made.end(attempt, &desk.limits, (age_ms, now));
     let attempt = DeliveryAttempt {
         number: attempt,
         begun_unix_ms,
@@ -130,13 +141,13 @@ impl Made {
         Self { http_status: None, failure: Some((code, message)), retry_after: None }
     }
 
-    /// What follows the attempt. `ended` is the time at which the job ended (ms since 1970-01-01
-    /// UTC).
+    /// What follows the attempt, which ended at `now` (ms since 1970-01-01 UTC). `age_ms` is the
+    /// time since the end of the job (ms).
     fn end(
         &self,
         attempt: u32,
         limits: &JobsConfiguration,
-        (ended, now): (i64, i64),
+        (age_ms, now): (i64, i64),
     ) -> DeliveryEnd {
         if self.failure.is_none() {
             return DeliveryEnd::Delivered;
@@ -144,12 +155,12 @@ impl Made {
         let first = Duration::from_secs(limits.webhook_delay_s.min(DELAY_CEILING.as_secs()));
         let doubled = first.saturating_mul(1_u32.checked_shl(attempt - 1).unwrap_or(u32::MAX));
         let mut backoff = Backoff::new(doubled.min(DELAY_CEILING), DELAY_CEILING);
-        let due_unix_ms = now + backoff.next(self.retry_after).as_millis() as i64;
-        let last = ended + i64::from(limits.webhook_hours) * MS_PER_HOUR;
-        let is_last = limits.webhook_attempts <= attempt || last < due_unix_ms;
+        let delay_ms = backoff.next(self.retry_after).as_millis() as i64;
+        let longest_ms = i64::from(limits.webhook_hours) * MS_PER_HOUR;
+        let is_last = limits.webhook_attempts <= attempt || longest_ms < age_ms + delay_ms;
         match is_last || self.http_status == Some(GONE) {
             true => DeliveryEnd::GivenUp,
-            false => DeliveryEnd::Again { due_unix_ms },
+            false => DeliveryEnd::Again { due_unix_ms: now + delay_ms },
         }
     }
 }
@@ -230,7 +241,7 @@ mod tests {
         }
         let day = 24 * MS_PER_HOUR;
         assert_eq!(made.end(12, &limits, (0, 1000)), DeliveryEnd::GivenUp);
-        assert_eq!(made.end(1, &limits, (0, day)), DeliveryEnd::GivenUp);
+        assert_eq!(made.end(1, &limits, (day, day)), DeliveryEnd::GivenUp);
         let asked = refused(Some(Duration::from_secs(600)), Some(503));
         let end = asked.end(1, &limits, (0, 0));
         assert!(

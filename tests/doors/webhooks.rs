@@ -27,7 +27,11 @@ use crate::support::server::free_port;
 
 use super::jobs::{all_turns, created, ended, new_job, post};
 
-on_both_databases!(each_attempt_is_made_once, a_webhook_is_told_until_it_answers);
+on_both_databases!(
+    each_attempt_is_made_once,
+    a_webhook_is_told_until_it_answers,
+    a_step_of_the_clock_loses_no_message,
+);
 
 const SECRET: &str = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw";
 
@@ -144,6 +148,38 @@ async fn a_webhook_is_told_until_it_answers(database: Database) {
     let request = v1::GetJobRequest { job: job.clone() };
     let by_grpc = client.deliveries(request).await.unwrap().into_inner();
     assert_eq!(serde_json::to_value(&by_grpc).unwrap(), told);
+    doors.close().await;
+}
+
+/// The clock of the service was two days ahead for a time. The age of a message is that of the time
+/// by which all expires, and a message that is due two days later is due now.
+async fn a_step_of_the_clock_loses_no_message(database: Database) {
+    let now = "(SELECT MAX(created_unix_ms) FROM jobs)";
+    let two_days = 2 * 86_400_000_i64;
+    let store = database.store().await;
+    store.close().await;
+    // The time by which all expires is two days behind the clock, as after a step.
+    let unix_ms = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+    let counted = unix_ms.as_millis() as i64 - two_days;
+    database.execute(&format!("UPDATE expiry_clock SET unix_ms = {counted}")).await;
+    let doors = Doors::on_with_jobs(&database.url, quick()).await;
+    let late = answer("503 Later\r\nContent-Length: 0", b"");
+    let taken = answer("204 No Content", b"");
+    let (host, messages) = host(vec![late.clone(), late, taken]).await;
+    let turns = all_turns(&doors).await;
+    let options = json!({"mode": "spp", "webhook": webhook(host.port)});
+    let job = created(&doors, MINUTE.body(&options)).await;
+    // It ends before the step, and the message is due by the clock that is ahead.
+    database
+        .execute(&format!(
+            "UPDATE jobs SET state = 'CANCELLED', ended_unix_ms = {now} - {two_days}, \
+             webhook_due_unix_ms = {now} + {two_days}"
+        ))
+        .await;
+    let told = told(&doors, &job).await;
+    assert_eq!(told["state"], "DELIVERED", "{told}");
+    assert_eq!(messages.lock().unwrap().len(), 3, "{told}");
+    drop(turns);
     doors.close().await;
 }
 

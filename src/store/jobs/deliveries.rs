@@ -224,6 +224,31 @@ impl Store {
         changed.map_err(StoreError::database("giving messages to webhooks up"))
     }
 
+    /// Makes messages due now that are due after `latest_unix_ms`, because the clock was ahead when
+    /// their times were stored. Returns their number.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub async fn correct_due_webhooks(
+        &self,
+        now_unix_ms: i64,
+        latest_unix_ms: i64,
+    ) -> Result<u64, StoreError> {
+        let is_any: Result<bool, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT EXISTS (SELECT 1 FROM jobs WHERE webhook_due_unix_ms > $1)";
+            sqlx::query_scalar(sql).bind(latest_unix_ms).fetch_one(pool).await
+        });
+        if !is_any.map_err(StoreError::database("reading when webhooks are due"))? {
+            return Ok(0);
+        }
+        let changed: Result<u64, _> = writing!(&self.pool, pool => {
+            let sql = "UPDATE jobs SET webhook_due_unix_ms = $1 WHERE webhook_due_unix_ms > $2";
+            let correct = sqlx::query(sql).bind(now_unix_ms).bind(latest_unix_ms);
+            correct.execute(pool).await.map(|done| done.rows_affected())
+        });
+        changed.map_err(StoreError::database("correcting when webhooks are due"))
+    }
+
     /// The attempts to deliver the message of a job, in order, and when the next one is due (ms
     /// since 1970-01-01 UTC).
     ///

@@ -115,6 +115,19 @@ impl JobRow {
 }
 
 impl Store {
+    /// The time of the database (ms since 1970-01-01 UTC), the same for all nodes.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn database_unix_ms(&self) -> Result<i64, StoreError> {
+        let sql = match &self.pool {
+            Pool::Sqlite { .. } => concat!("SELECT ", sqlite_now!()),
+            Pool::Postgres { .. } => concat!("SELECT ", postgres_now!()),
+        };
+        let now = reading!(&self.pool, pool => sqlx::query_scalar(sql).fetch_one(pool).await);
+        now.map_err(StoreError::database("reading the time of the database"))
+    }
+
     /// Claims the next job for a node: a waiting one, or one whose claimant has sent no heartbeat
     /// for the time `silent`.
     ///
