@@ -6,6 +6,7 @@
 
 pub mod access;
 mod audit;
+mod body_rate;
 mod budget;
 mod caller;
 pub mod calls;
@@ -35,6 +36,7 @@ mod texts;
 mod threads;
 mod web_origins;
 
+pub(crate) use body_rate::BodyRate;
 pub use budget::Budget;
 pub(crate) use budget::{Lease, check_ratio};
 pub use caller::Caller;

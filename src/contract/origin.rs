@@ -268,6 +268,7 @@ impl From<JobError> for Refusal {
             JobError::Off
             | JobError::TooMany { .. }
             | JobError::TooManyArriving { .. }
+            | JobError::TooManyArrivingOfTenant { .. }
             | JobError::TooManyUploads { .. }
             | JobError::FileTooLarge { .. }
             | JobError::TooManyFiles { .. }

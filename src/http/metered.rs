@@ -10,7 +10,7 @@ use axum::body::{Body, Bytes, HttpBody};
 use hyper::body::{Frame, SizeHint};
 use tokio::time::{Instant, Sleep, sleep_until};
 
-use crate::contract::{Lease, Refusal};
+use crate::contract::{BodyRate, Lease, Refusal};
 use crate::refusal::Code;
 
 /// Memory for a body whose length is unknown is reserved in steps of this size (bytes).
@@ -18,8 +18,6 @@ const STEP_BYTES: usize = 16 << 10;
 /// Memory of a body that is written to the disk as it arrives (bytes): the parser's buffer, and
 /// chunks of the network and the disk.
 const PASSING_BYTES: usize = 2 << 20;
-/// Slowest rate of a body (bytes/s).
-const RATE_MIN: u64 = 16 << 10;
 
 /// Longest times for a body.
 #[derive(Clone, Copy, Debug)]
@@ -37,7 +35,7 @@ pub(super) struct Metered {
     is_kept: bool,
     arrived: usize,
     patience: Patience,
-    begun: Instant,
+    rate: BodyRate,
     /// When the last bytes arrived.
     last: Instant,
     /// Wakes the reader once the peer has been silent for too long. Most bodies arrive at once and
@@ -60,7 +58,6 @@ impl Metered {
         fault: fn(Refusal) -> BoxError,
     ) -> Result<Self, Refusal> {
         lease.reserve(length)?;
-        let begun = Instant::now();
         Ok(Self {
             body,
             lease,
@@ -68,8 +65,8 @@ impl Metered {
             is_kept: true,
             arrived: 0,
             patience,
-            begun,
-            last: begun,
+            rate: BodyRate::begin(patience.silence),
+            last: Instant::now(),
             silence: None,
             fault,
         })
@@ -108,13 +105,7 @@ impl Metered {
             self.lease.reserve(surplus)?;
             self.reserved = self.arrived;
         }
-        let allowed = self.patience.silence
-            + self.patience.silence
-            + Duration::from_secs(self.arrived as u64 / RATE_MIN);
-        if allowed < self.begun.elapsed() {
-            let message = format!("{} bytes in {:?}", self.arrived, self.begun.elapsed());
-            return Err(Refusal::new(Code::BodyTooSlow, message));
-        }
+        self.rate.check(self.arrived)?;
         self.last = Instant::now();
         Ok(())
     }

@@ -9,12 +9,14 @@ use std::sync::Arc;
 
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
-use tokio::sync::OwnedSemaphorePermit;
 use uuid::Uuid;
+
+use crate::tenant::Tenant;
 
 use super::JobError;
 use super::allowance::Allowance;
 use super::files::{JobFiles, StoredFile};
+use super::permits::Permit;
 
 /// Files that arrive together. A file that does not become part of a job leaves nothing.
 pub struct Upload {
@@ -22,7 +24,7 @@ pub struct Upload {
     allowance: Arc<Allowance>,
     begun: usize,
     /// The right to upload; `None` if the service fetches the files itself.
-    _permit: Option<OwnedSemaphorePermit>,
+    _permit: Option<Permit>,
 }
 
 /// A file that arrives.
@@ -45,12 +47,16 @@ struct Leftover {
 }
 
 impl Upload {
-    /// Begins an upload to a folder.
+    /// Begins an upload of a tenant to a folder.
     ///
     /// # Errors
-    /// As many uploads arrive as allowed.
-    pub(super) fn begin_at(files: &Arc<JobFiles>, allowance: Allowance) -> Result<Self, JobError> {
-        let permit = Some(files.permit()?);
+    /// As many uploads arrive as allowed, in all or of the tenant.
+    pub(super) fn begin_at(
+        files: &Arc<JobFiles>,
+        tenant: &Tenant,
+        allowance: Allowance,
+    ) -> Result<Self, JobError> {
+        let permit = Some(files.permit(tenant)?);
         Ok(Self { _permit: permit, ..Self::fetch_to(files, allowance) })
     }
 

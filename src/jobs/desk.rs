@@ -122,7 +122,8 @@ impl Jobs {
     pub async fn upload(&self) -> Result<Upload, JobError> {
         let files = self.desk.files()?;
         self.check_waiting().await?;
-        Upload::begin_at(files, self.desk.allowance(&self.tenant).await?)
+        let allowance = self.desk.allowance(&self.tenant).await?;
+        Upload::begin_at(files, &self.tenant, allowance)
     }
 
     /// Queues a job. Returns it, and whether it is new: a repetition with the same idempotency key

@@ -41,6 +41,12 @@ pub enum JobError {
         /// Number allowed.
         limit: usize,
     },
+    /// As many jobs of the tenant arrive as one tenant may have, so that others can upload, too.
+    #[error("the files of {limit} jobs of the tenant arrive, as many as one tenant may have")]
+    TooManyArrivingOfTenant {
+        /// Number allowed.
+        limit: usize,
+    },
     /// The tenant has begun as many uploads as allowed.
     #[error("{limit} uploads are begun, as many as allowed")]
     TooManyUploads {
@@ -205,7 +211,9 @@ impl JobError {
         match self {
             Self::Off => Code::JobsOff,
             Self::NotFound { .. } => Code::JobNotFound,
-            Self::TooMany { .. } | Self::TooManyArriving { .. } => Code::TooManyJobs,
+            Self::TooMany { .. }
+            | Self::TooManyArriving { .. }
+            | Self::TooManyArrivingOfTenant { .. } => Code::TooManyJobs,
             Self::TooManyUploads { .. } => Code::TooManyUploads,
             Self::FileTooLarge { .. } | Self::TooManyFiles { .. } => Code::JobTooLarge,
             Self::SpaceExhausted { .. } => Code::JobSpaceExhausted,

@@ -9,9 +9,12 @@ use axum::body::Body;
 use axum::http::{Request, StatusCode, header};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use futures::{StreamExt, stream};
 use graphfix::config::Limits;
+use graphfix::contract::v1::create_job_request::Content;
 use graphfix::contract::{convert, v1};
 use graphfix::grpc::code_of;
+use graphfix::grpc::v1::jobs_client::JobsClient;
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::session::SequencedEpoch;
 use serde_json::{Value, json};
@@ -102,6 +105,25 @@ async fn half_bodies_use_bounded_memory_and_end() {
     assert_eq!((count("BODY_TOO_SLOW"), count("MEMORY_EXHAUSTED")), (2, 8), "{answers:?}");
     assert_eq!((count("408 Request Timeout"), count("retry-after: 1")), (2, 8), "{answers:?}");
     until("returned", async || budget.used(), |used| *used == 0).await;
+}
+
+/// A stream of files that trickles ends like a body that trickles.
+#[tokio::test]
+async fn a_stream_of_files_has_a_slowest_rate() {
+    let limits = Limits { body_silence_s: 1, ..Limits::standard() };
+    let doors = Doors::with(limits).await;
+    let message = |content| v1::CreateJobRequest { content: Some(content) };
+    let (part, name) = ("rover".to_owned(), "a.file".to_owned());
+    let begin = message(Content::Part(v1::JobPart { part, name }));
+    let ticks = tokio::time::interval(Duration::from_millis(200));
+    let bytes = stream::unfold((ticks, 0), move |(mut ticks, sent)| async move {
+        ticks.tick().await;
+        (sent < 50).then(|| (message(Content::Chunk(vec![b'x'])), (ticks, sent + 1)))
+    });
+    let mut client = JobsClient::new(doors.router.clone());
+    let trickle = stream::iter([begin]).chain(bytes);
+    let refused = client.create(trickle).await.unwrap_err();
+    assert_eq!(code_of(&refused).as_deref(), Some("BODY_TOO_SLOW"), "{refused}");
 }
 
 /// Empty epochs need few bytes: four million are 12 MB of JSON, and much less when packed.

@@ -7,7 +7,7 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use tokio::time::timeout;
 
-use crate::contract::{Caller, Lease, Refusal, texts, v1};
+use crate::contract::{BodyRate, Caller, Lease, Refusal, texts, v1};
 use crate::formats::result::ResultFormat;
 use crate::jobs::{
     ArrivingFile, Failure, InputUrl, JobError, JobId, JobInfo, JobInput, PAGE_BYTES, Part,
@@ -177,7 +177,7 @@ impl Arriving {
 /// Creates a job from a stream of messages.
 ///
 /// # Errors
-/// The stream ends early or is silent for too long, or bytes belong to no file; or as for
+/// The stream ends early, is silent for too long or too slow, or bytes belong to no file; or as for
 /// [`Arriving::submit`].
 pub async fn create<E: From<Refusal>>(
     caller: &Caller,
@@ -186,6 +186,7 @@ pub async fn create<E: From<Refusal>>(
     use v1::create_job_request::Content;
 
     let silence = Duration::from_secs(caller.limits().body_silence_s);
+    let (rate, mut arrived) = (BodyRate::begin(silence), 0);
     let mut arriving = begin(caller).await?;
     let (mut open, mut key) = (None::<ArrivingPart>, None);
     loop {
@@ -194,6 +195,10 @@ pub async fn create<E: From<Refusal>>(
             Refusal::new(Code::BodyTooSlow, message)
         })?;
         let Some(message) = next.transpose()? else { break };
+        if let Some(Content::Chunk(bytes)) = &message.content {
+            arrived += bytes.len();
+        }
+        rate.check(arrived)?;
         match message.content {
             Some(Content::Options(options)) => arriving.options(options)?,
             Some(Content::IdempotencyKey(text)) => key = Some(text),

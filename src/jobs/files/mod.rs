@@ -25,16 +25,17 @@ use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
 
 use crate::config::JobsConfiguration;
 use crate::store::disk_free_bytes;
+use crate::tenant::Tenant;
 
 use super::JobError;
 use super::bucket::{Bucket, BucketError, Patience};
 use super::named::Named;
+use super::permits::{Permit, Permits};
 
 use space::AGES;
 
@@ -57,7 +58,7 @@ pub(super) struct JobFiles {
     writing: AtomicU64,
     /// Number of uploads, not yet jobs, that need each input.
     held: Mutex<HashMap<String, usize>>,
-    uploads: Arc<Semaphore>,
+    uploads: Permits,
 }
 
 /// An uploaded file that is stored. It is kept while this value exists, or a job names it.
@@ -137,7 +138,7 @@ impl JobFiles {
         id: String,
         limits: JobsConfiguration,
     ) -> Result<Self, JobError> {
-        let uploads = Arc::new(Semaphore::new(limits.uploads.min(Semaphore::MAX_PERMITS)));
+        let uploads = Permits::new(limits.uploads);
         let (used, writing, held) = (AtomicU64::new(0), AtomicU64::new(0), Mutex::default());
         let files = Self { folder, bucket, id, limits, used, writing, held, uploads };
         files.count().await?;
@@ -164,14 +165,12 @@ impl JobFiles {
         &self.id
     }
 
-    /// The right to upload files.
+    /// A tenant's right to upload files.
     ///
     /// # Errors
-    /// As many uploads arrive as allowed.
-    pub(super) fn permit(&self) -> Result<OwnedSemaphorePermit, JobError> {
-        let limit = self.limits.uploads;
-        let permit = self.uploads.clone().try_acquire_owned();
-        permit.map_err(|_| JobError::TooManyArriving { limit })
+    /// As many uploads arrive as allowed, in all or of the tenant.
+    pub(super) fn permit(&self, tenant: &Tenant) -> Result<Permit, JobError> {
+        self.uploads.take(tenant)
     }
 
     /// The limits of files.
@@ -325,7 +324,7 @@ mod tests {
     }
 
     fn begin(files: &Arc<JobFiles>) -> Result<Upload, JobError> {
-        Upload::begin_at(files, Allowance::unlimited())
+        Upload::begin_at(files, &Tenant::operator(), Allowance::unlimited())
     }
 
     async fn stored(upload: &mut Upload, bytes: &[u8]) -> Result<StoredFile, JobError> {
