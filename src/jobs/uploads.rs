@@ -57,8 +57,9 @@ pub struct Appending {
     upload: UploadInfo,
     /// Offset of the upload before this request.
     begun: u64,
-    /// The file. It is locked until it is closed.
-    file: File,
+    /// The file, locked until it is closed; `None` if the upload is complete, because its file has
+    /// been moved.
+    file: Option<File>,
 }
 
 impl Jobs {
@@ -112,25 +113,17 @@ impl Jobs {
     pub async fn append_upload(&self, id: &UploadId, offset: u64) -> Result<Appending, JobError> {
         let files = self.desk.files()?;
         let upload = self.upload_info(id).await?;
-        let path = files.arriving(id.as_str());
-        let opening = spawn_blocking(move || {
-            let mut options = OpenOptions::new();
-            let file = options.append(true).create(true).open(path)?;
-            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-                Ok(()) => Ok(Some((file.metadata()?.len(), file))),
-                Err(_) => Ok(None),
+        let (stored, file) = match upload.hash {
+            Some(_) => (upload.length, None),
+            None => {
+                let opened = opened(files.arriving(id.as_str())).await?;
+                opened.ok_or_else(|| JobError::UploadBusy { id: id.to_string() })?
             }
-        });
-        let opened = opening.await.unwrap_or_else(|error| Err(io::Error::other(error)));
-        let opened = opened.map_err(JobError::disk("opening the file of an upload"))?;
-        let (stored, file) = opened.ok_or_else(|| JobError::UploadBusy { id: id.to_string() })?;
-        // The file of a complete upload has been moved.
-        let stored = if upload.hash.is_some() { upload.length } else { stored };
+        };
         if stored != offset {
             return Err(JobError::UploadOffset { offset: stored });
         }
         let upload = UploadInfo { offset, ..upload };
-        let file = File::from_std(file);
         Ok(Appending { desk: self.desk.clone(), upload, begun: offset, file })
     }
 
@@ -176,6 +169,21 @@ async fn info(files: &Arc<JobFiles>, row: JobUploadRow) -> Result<UploadInfo, Jo
     Ok(UploadInfo { id, name, length, offset, hash, expires_unix_ms })
 }
 
+/// The file of an upload that is not complete, locked, and its length; `None` if another request
+/// has the lock.
+async fn opened(path: PathBuf) -> Result<Option<(u64, Option<File>)>, JobError> {
+    let opening = spawn_blocking(move || {
+        let mut options = OpenOptions::new();
+        let file = options.append(true).create(true).open(path)?;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => Ok(Some((file.metadata()?.len(), Some(File::from_std(file))))),
+            Err(_) => Ok(None),
+        }
+    });
+    let opened = opening.await.unwrap_or_else(|error| Err(io::Error::other(error)));
+    opened.map_err(JobError::disk("opening the file of an upload"))
+}
+
 /// Number of bytes of a file that have arrived. The file is opened, because a shared file system
 /// then reads what other nodes have written.
 async fn arrived(path: PathBuf) -> u64 {
@@ -195,8 +203,10 @@ impl Appending {
             self.take_back().await?;
             return Err(JobError::UploadTooLong { length });
         }
+        // A complete upload takes no byte.
+        let Some(file) = &mut self.file else { return Ok(()) };
         self.desk.files()?.reserve(more)?;
-        self.file.write_all(bytes).await.map_err(failed)?;
+        file.write_all(bytes).await.map_err(failed)?;
         self.upload.offset += more;
         Ok(())
     }
@@ -204,8 +214,9 @@ impl Appending {
     /// Removes the bytes that this request has appended. It has sent more bytes than the file still
     /// needs, so they may belong to another file or to another offset.
     async fn take_back(&mut self) -> Result<(), JobError> {
-        self.file.flush().await.map_err(failed)?;
-        self.file.set_len(self.begun).await.map_err(failed)?;
+        let Some(file) = &mut self.file else { return Ok(()) };
+        file.flush().await.map_err(failed)?;
+        file.set_len(self.begun).await.map_err(failed)?;
         self.desk.files()?.release(self.upload.offset - self.begun);
         self.upload.offset = self.begun;
         Ok(())
@@ -217,9 +228,10 @@ impl Appending {
     /// # Errors
     /// The disk or the store fails.
     pub async fn finish(mut self) -> Result<UploadInfo, JobError> {
-        self.file.flush().await.map_err(failed)?;
-        self.file.sync_all().await.map_err(failed)?;
-        if self.upload.offset == self.upload.length && self.upload.hash.is_none() {
+        let Some(file) = &mut self.file else { return Ok(self.upload) };
+        file.flush().await.map_err(failed)?;
+        file.sync_all().await.map_err(failed)?;
+        if self.upload.offset == self.upload.length {
             let files = self.desk.files()?;
             let path = files.arriving(self.upload.id.as_str());
             let (arrived, hashed) = (path.clone(), path.clone());

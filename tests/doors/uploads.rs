@@ -180,6 +180,23 @@ async fn what_does_not_go_on_is_refused() {
     assert_eq!((status.as_u16(), code(&problem)), (404, "UPLOAD_NOT_FOUND"), "{problem}");
 }
 
+/// A complete upload takes no byte more, and its file is not there to be opened.
+#[tokio::test]
+async fn a_complete_upload_takes_no_byte() {
+    let doors = Doors::with_jobs(JobsConfiguration::standard()).await;
+    let path = begun(&doors, 8).await;
+    appended(&doors, &path, 0, Body::from("12345678")).await;
+    let incoming = doors.folder().join("test.db.jobs/incoming");
+    for (content, expected) in [("9", 413), ("", 204)] {
+        let (status, _, problem) = appended(&doors, &path, 8, Body::from(content)).await;
+        assert_eq!(status.as_u16(), expected, "{problem}");
+        assert_eq!(offset(&doors, &path).await, 8);
+        assert_eq!(std::fs::read_dir(&incoming).unwrap().count(), 0, "a file is left");
+    }
+    let (status, _, problem) = appended(&doors, &path, 7, Body::from("9")).await;
+    assert_eq!((status.as_u16(), code(&problem)), (409, "UPLOAD_OFFSET_DIFFERS"), "{problem}");
+}
+
 /// Two requests never append at the same time.
 #[tokio::test]
 async fn one_request_appends_at_a_time() {
