@@ -383,6 +383,16 @@ impl Store {
         self.committer.commit(batch).await
     }
 
+    /// Waits until commits work, and no earlier commit can still end. What is read afterwards
+    /// contains each commit of this service that was answered with [`StoreError::Unconfirmed`], or
+    /// never will.
+    ///
+    /// # Errors
+    /// Commits do not work within the deadline.
+    pub(crate) async fn settled(&self) -> Result<(), StoreError> {
+        self.committer.working().await
+    }
+
     /// Number of a session's last epoch. Waits until commits work and no earlier one is pending.
     ///
     /// # Errors
@@ -391,7 +401,7 @@ impl Store {
         &self,
         session: SessionKey,
     ) -> Result<Option<u64>, StoreError> {
-        self.committer.working().await?;
+        self.settled().await?;
         let number: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT last_seq FROM session_heads WHERE session = $1";
             sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await

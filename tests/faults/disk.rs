@@ -34,6 +34,25 @@ async fn a_slow_disk_is_refused_and_served_again() {
     service.finish().await;
 }
 
+/// The commit of a reset takes longer than its deadline and still ends. Epochs that are sent
+/// meanwhile begin the new arc, as a replay does.
+#[tokio::test]
+async fn a_reset_that_ends_late_is_seen_by_the_next_epochs() {
+    let database = Database::sqlite();
+    let mut service = Failing::start_drive(&database.url).await;
+    for seq in 1..=20 {
+        service.push(seq).await.unwrap();
+    }
+    service.set("slow 7");
+    assert_eq!(service.reset().await.unwrap_err(), "DATABASE_FAILED");
+    service.set("none");
+    service.serves_again("slow reset", 21).await;
+    for seq in 22..=30 {
+        service.push(seq).await.unwrap();
+    }
+    service.finish().await;
+}
+
 /// The clock steps by 20 years back, and by hours and a day: no epoch is refused.
 async fn a_clock_that_steps_loses_nothing(database: Database) {
     let mut service = Failing::start(&database.url).await;

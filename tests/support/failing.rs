@@ -7,13 +7,17 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use graphfix::contract::convert::epoch_message;
 use graphfix::contract::v1;
 use graphfix::grpc::code_of;
+use graphfix::grpc::v1::navigation_client::NavigationClient;
 use graphfix::grpc::v1::positioning_client::PositioningClient;
+use graphfix::grpc::v1::sessions_client::SessionsClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
 use tonic::transport::Channel;
 
 use super::doors::epoch;
+use super::drive::DRIVE;
 use super::server::{Server, free_port, opened, replayed, status_of};
 use super::wait::until;
 
@@ -39,6 +43,8 @@ pub(crate) struct Failing {
     control: PathBuf,
     database: String,
     acknowledged: BTreeMap<u64, v1::Solution>,
+    /// Whether the epochs are those of the simulated drive.
+    drives: bool,
     _folder: tempfile::TempDir,
 }
 
@@ -55,7 +61,22 @@ impl Failing {
         let channel = server.channel();
         let session = opened(&channel, None).await.session;
         let (database, acknowledged) = (database.to_owned(), BTreeMap::new());
-        Self { server, channel, session, control, database, acknowledged, _folder: folder }
+        let drives = false;
+        Self { server, channel, session, control, database, acknowledged, drives, _folder: folder }
+    }
+
+    /// Like [`Self::start`], with the epochs and the navigation data of the simulated drive.
+    pub(crate) async fn start_drive(database: &str) -> Self {
+        let service = Self::start(database).await;
+        let file = DRIVE.navigation_file();
+        let mut navigation = NavigationClient::new(service.channel.clone());
+        navigation.push(v1::PushNavigationRequest { content: file.into() }).await.unwrap();
+        let mut sessions = SessionsClient::new(service.channel.clone());
+        let mode = Some("ekf".to_owned());
+        let session = service.session.clone();
+        let update = v1::UpdateSessionRequest { session, mode, ..Default::default() };
+        sessions.update(update).await.unwrap();
+        Self { drives: true, ..service }
     }
 
     /// Sets the fault, in the words of `failing.c`.
@@ -65,7 +86,10 @@ impl Failing {
 
     /// Pushes an epoch, and records an acknowledged answer.
     pub(crate) async fn push(&mut self, seq: u64) -> Result<(), String> {
-        let epochs = vec![serde_json::from_value(epoch(seq)).unwrap()];
+        let epochs = vec![match self.drives {
+            true => epoch_message(seq, &DRIVE.epochs[seq as usize - 1].epoch),
+            false => serde_json::from_value(epoch(seq)).unwrap(),
+        }];
         let push = v1::PushEpochsRequest { session: self.session.clone(), epochs };
         let answer = PositioningClient::new(self.channel.clone()).push_epochs(push).await;
         let answer = answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))?;
@@ -78,6 +102,14 @@ impl Failing {
             assert_eq!(before, solution, "a resend got another answer");
         }
         Ok(())
+    }
+
+    /// Begins a new arc of the session.
+    pub(crate) async fn reset(&self) -> Result<v1::Session, String> {
+        let mut sessions = SessionsClient::new(self.channel.clone());
+        let reset = v1::ResetSessionRequest { session: self.session.clone() };
+        let answer = sessions.reset(reset).await.map(tonic::Response::into_inner);
+        answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))
     }
 
     /// An epoch is refused in time.

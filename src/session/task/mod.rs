@@ -197,7 +197,8 @@ impl Task {
         let batch = self.batch(Some(after_seq));
         let batch = Batch { revisions, snapshot, keeps_snapshot, arc, entry, ..batch };
         let stored = self.store.commit(batch).await;
-        // The last number does not show an arc, so an unconfirmed one is read from the store.
+        // The last number does not show whether the arc is stored. The next activation waits until
+        // the store is settled, and reads it.
         stored.inspect_err(|_| *active = None)?;
         self.live.publish(self.key, &revised);
         if let Some(current) = active {
@@ -363,6 +364,11 @@ impl Task {
         self.confirm(active).await?;
         let row = self.begin(active).await;
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
+        if active.is_none() {
+            // An unconfirmed commit of this session may still end. A reset keeps the last number,
+            // so the head would accept epochs after the state without the reset.
+            self.store.settled().await?;
+        }
         if is_outdated || active.is_none() {
             let row = row.filter(|_| !is_outdated);
             // Between the read of the row and this task, nobody else writes epochs of the session.
