@@ -1,7 +1,7 @@
 //! Creates sessions, and changes their settings.
 
 use crate::config::PositioningOptions;
-use crate::store::{Author, Created, NamedRequest, SessionSettings};
+use crate::store::{Author, Created, NamedRequest, SessionKey, SessionSettings};
 
 use super::configuration::{base_of, settings, stored_options};
 use super::desk::Sessions;
@@ -143,16 +143,24 @@ impl Sessions {
         self.check_settings(&settings)?;
         row.settings = SessionSettings { retention_days, ..settings };
         if row.settings == before {
+            // An update before may have stored these settings without knowing it.
+            self.outdated(id, row.key);
             return self.info(id.clone(), row); // Nothing to write, and no act for the audit log.
         }
         let entry = author.map(|author| {
             self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
         });
-        self.store().update_session(row.key, &row.settings, entry.as_deref()).await?;
-        // Watches read the settings again.
-        self.live().publish_unknown(row.key);
-        self.tasks().outdate(id);
+        let stored = self.store().update_session(row.key, &row.settings, entry.as_deref()).await;
+        // Even after an error, because only the answer to the commit may be lost.
+        self.outdated(id, row.key);
+        stored?;
         self.info(id.clone(), row)
+    }
+
+    /// The session's task and its watches read the settings again.
+    fn outdated(&self, id: &SessionId, key: SessionKey) {
+        self.live().publish_unknown(key);
+        self.tasks().outdate(id);
     }
 }
 

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use graphfix::aiding::bases::{BaseChoice, BaseId, BaseInfo, BasePositionVerdict, NewBase};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::config::Mode;
+use graphfix::contract::{calls, v1};
 use graphfix::gnss::{BaseSite, Epoch, PositionSource, Reason, Solution, Status};
 use graphfix::session::{
     Burst, Check, NewSession, Recomputation, SequencedEpoch, SessionId, SessionLimits,
@@ -13,7 +14,9 @@ use graphfix::session::{
 use graphfix::store::StoredSolution;
 
 use crate::support::database::{Database, on_both_databases, whole_session};
+use crate::support::doors::Doors;
 use crate::support::pair::PAIR;
+use crate::support::wait::until;
 
 on_both_databases!(
     a_session_answers_as_solve_does,
@@ -453,4 +456,19 @@ async fn forgotten_base_epochs_are_said(database: Database) {
     let restarted = desk_with(&database, limits).await;
     let answers = restarted.submit(&session, &PAIR.rover[40..70]).await;
     assert!(answers.iter().all(|solution| solution.provenance.base.is_some()));
+}
+
+/// A caller that disconnects while a base is created leaves no base that is stored and unknown.
+#[tokio::test]
+async fn a_base_is_created_although_the_caller_has_gone() {
+    let doors = Doors::open().await;
+    let request = || v1::CreateBaseRequest { request_id: "roof".to_owned(), ..Default::default() };
+    let caller = doors.caller();
+    let mut call = Box::pin(calls::bases::create(&caller, request()));
+    assert!(futures::poll!(&mut call).is_pending());
+    drop(call);
+    let list = async || doors.get("/v1/bases").await.1["bases"].as_array().map(Vec::len);
+    until("created", list, |count| *count == Some(1)).await;
+    let (_, is_new) = calls::bases::create(&caller, request()).await.unwrap();
+    assert!(!is_new);
 }

@@ -2,7 +2,9 @@
 
 use std::time::{Duration, Instant};
 
-use graphfix::session::{SessionId, Sessions};
+use graphfix::aiding::bases::NewBase;
+use graphfix::aiding::{AidingDesk, AidingLimits};
+use graphfix::session::{SessionId, SessionUpdate, Sessions};
 use graphfix::store::{CommitterState, Store};
 
 use crate::support::database::{on_postgres, whole_session};
@@ -117,6 +119,46 @@ async fn a_commit_that_is_cut_off_is_resolved() {
         }
         assert_eq!(service.numbers().await, (1..=9).collect::<Vec<_>>());
         assert_eq!(service.sessions.counts().restores(), 0, "the state in memory was dropped");
+    })
+    .await;
+}
+
+/// The answer to the commit of new settings is lost, and the update is repeated: it changes nothing
+/// any more, and the next epochs are positioned with these settings.
+#[tokio::test]
+async fn settings_whose_commit_is_cut_off_are_in_force() {
+    on_postgres(async |database| {
+        let service = Service::start(&database.url).await;
+        let update = || SessionUpdate { mode: Some("fgo".to_owned()), ..SessionUpdate::default() };
+        service.proxy.set(Mode::CutAfterCommit);
+        let cut = service.sessions.update(&service.id, update()).await.unwrap_err();
+        assert_eq!(cut.code().name(), "DATABASE_FAILED", "{cut}");
+        assert_eq!(service.proxy.mode(), Mode::Pass, "nothing was cut");
+        let info = service.sessions.update(&service.id, update()).await.unwrap();
+        let answer = service.sessions.submit(&service.id, vec![epoch(2, 2.0)]).await.unwrap();
+        let solution = &answer.outcomes[0].result.as_ref().unwrap().solution;
+        assert_eq!(*solution.configuration_hash, *info.configuration_hash);
+    })
+    .await;
+}
+
+/// The connection is cut while a base is stored. A stored base is in memory, and other bases can be
+/// created afterwards.
+#[tokio::test]
+async fn a_base_whose_commit_is_cut_off_is_known() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let store = Store::open(&proxy.url(&database.url)).await.unwrap();
+        let aiding = AidingDesk::open(store, AidingLimits::service()).await.unwrap();
+        for (mode, count) in [(Mode::CutAfterCommit, 1), (Mode::CutBeforeCommit, 1)] {
+            proxy.set(mode);
+            let created = aiding.bases.create(NewBase::default()).await;
+            assert_eq!(proxy.mode(), Mode::Pass, "nothing was cut");
+            assert_eq!(created.is_ok(), mode == Mode::CutAfterCommit, "{created:?}");
+            assert_eq!(aiding.bases.list().await.len(), count, "{mode:?}");
+        }
+        aiding.bases.create(NewBase::default()).await.unwrap();
+        assert_eq!(aiding.bases.list().await.len(), 2);
     })
     .await;
 }

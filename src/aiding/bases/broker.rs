@@ -32,8 +32,16 @@ pub struct BaseBroker {
     bases: Arc<RwLock<BTreeMap<BaseId, Arc<Base>>>>,
     /// Locked while a base is created, so that the number of bases never exceeds the limit, and
     /// while this node reads the bases that another node has stored.
-    pub(super) creating: Arc<tokio::sync::Mutex<()>>,
+    pub(super) creating: Arc<tokio::sync::Mutex<Creating>>,
     nearest_base_requests: NearestBaseRequests,
+}
+
+/// State that a creation leaves for the next one.
+#[derive(Default)]
+pub(super) struct Creating {
+    /// The last creation did not end well. Its base may be stored although the memory does not
+    /// contain it.
+    is_unconfirmed: bool,
 }
 
 impl BaseBroker {
@@ -79,7 +87,11 @@ impl BaseBroker {
         request: Option<NamedRequest>,
         author: Option<&Author>,
     ) -> Result<(BaseInfo, bool), AidingError> {
-        let _creating = self.creating.lock().await;
+        let mut creating = self.creating.lock().await;
+        if creating.is_unconfirmed {
+            self.read_created().await?;
+            creating.is_unconfirmed = false;
+        }
         if let Some(request) = &request
             && let Some(base) = self.created_by(tenant, &request.name)
         {
@@ -90,15 +102,8 @@ impl BaseBroker {
                 false => Err(AidingError::RequestConflict { id }),
             };
         }
-        let (length, limit) = (new.label.chars().count(), self.limits.label_characters);
-        if limit < length {
-            return Err(AidingError::LabelTooLong { length, limit });
-        }
+        self.check_new(&new)?;
         new.site = new.site.map(|site| self.antennas.of_new_base(&site)).transpose()?;
-        let limit = self.limits.bases;
-        if limit <= self.read().len() {
-            return Err(AidingError::TooManyBases { limit });
-        }
         let (id, now) = (BaseId::random(), unix_ms());
         let row = NewBaseRow {
             tenant,
@@ -115,7 +120,18 @@ impl BaseBroker {
             let (object, change) = (id.as_str(), described(&row));
             author.does(Act { call: "Bases.Create", tenant, object, change }, now)
         });
-        let key = self.store.create_base(&row, entry.as_ref()).await?;
+        creating.is_unconfirmed = true;
+        let key = match self.store.create_base(&row, entry.as_ref()).await {
+            Ok(key) => key,
+            Err(error) => {
+                // If only the answer to the commit was lost, the base is stored.
+                self.read_created().await.map_err(|_| error.clone())?;
+                let stored = self.base(&id).map_err(|_| error)?;
+                creating.is_unconfirmed = false;
+                return Ok((stored.info(), true));
+            }
+        };
+        creating.is_unconfirmed = false;
         let sites = new.site.map(|site| (1, site)).into_iter().collect();
         let description = BaseDescription {
             name: BaseName { key, id: id.as_str().into() },
@@ -130,6 +146,32 @@ impl BaseBroker {
         let base = Arc::new(Base::new(description, BaseEpochs::new(sites, Vec::new(), None)));
         self.write().insert(id, base.clone());
         Ok((base.info(), true))
+    }
+
+    /// Checks that a base may be created.
+    fn check_new(&self, new: &NewBase) -> Result<(), AidingError> {
+        let (length, limit) = (new.label.chars().count(), self.limits.label_characters);
+        if limit < length {
+            return Err(AidingError::LabelTooLong { length, limit });
+        }
+        let limit = self.limits.bases;
+        if limit <= self.read().len() {
+            return Err(AidingError::TooManyBases { limit });
+        }
+        Ok(())
+    }
+
+    /// Reads bases that are stored and not in memory, after a creation with an unknown outcome.
+    async fn read_created(&self) -> Result<(), AidingError> {
+        // A base that is deleted meanwhile is known here, so it is not added again.
+        let known = self.ids();
+        for row in self.store.bases().await? {
+            let id = stored_id(&row)?;
+            if known.binary_search(&id).is_err() {
+                self.write().insert(id, Arc::new(stored_base(row, Vec::new(), None)));
+            }
+        }
+        Ok(())
     }
 
     /// The base that a tenant's request with this name has created.

@@ -8,7 +8,7 @@ use crate::aiding::bases::{
 };
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
-use crate::contract::{Caller, Refusal, convert, texts, v1};
+use crate::contract::{Caller, Refusal, convert, finished, texts, v1};
 use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
@@ -38,7 +38,13 @@ pub async fn create(
     caller: &Caller,
     request: v1::CreateBaseRequest,
 ) -> Result<(v1::Base, bool), Refusal> {
-    caller.noted("Bases.Create", "", created(caller, request).await).await
+    // A base that is stored must get into the memory, and its stream must begin.
+    let caller = caller.clone();
+    let act = async move {
+        let created = created(&caller, request).await;
+        caller.noted("Bases.Create", "", created).await
+    };
+    finished(act).await
 }
 
 async fn created(
@@ -65,12 +71,15 @@ async fn created(
     let frame = frame(&request.frame, request.frame_epoch_year)?;
     let new = NewBase { label: request.label, site, feed, archive, frame };
     let (created, is_new) = caller.bases().create(new, named, &caller.author()).await?;
-    if let Some(id) = BaseId::parse(&created.name.id).filter(|_| is_new) {
-        if let Some(feed) = &created.feed {
-            caller.feeds().start(&id, feed)?;
+    if let Some(id) = BaseId::parse(&created.name.id) {
+        // A repetition starts what the first request did not, because its commit had no answer.
+        let feeds = caller.feeds();
+        if let Some(feed) = created.feed.as_ref().filter(|_| feeds.health(&id).is_none()) {
+            feeds.start(&id, feed)?;
         }
-        if let Some(archive) = &created.archive {
-            caller.feeds().fill(&id, archive)?;
+        let archive = created.archive.as_deref();
+        if let Some(archive) = archive.filter(|_| feeds.archive_health(&id).is_none()) {
+            feeds.fill(&id, archive)?;
         }
     }
     Ok((message(caller, &created), is_new))
@@ -120,7 +129,12 @@ pub async fn delete(
     caller: &Caller,
     request: v1::DeleteBaseRequest,
 ) -> Result<v1::DeleteBaseResponse, Refusal> {
-    caller.noted("Bases.Delete", &request.base, deleted(caller, &request.base).await).await
+    let (caller, base) = (caller.clone(), request.base);
+    let act = async move {
+        let deleted = deleted(&caller, &base).await;
+        caller.noted("Bases.Delete", &base, deleted).await
+    };
+    finished(act).await
 }
 
 async fn deleted(caller: &Caller, base: &str) -> Result<v1::DeleteBaseResponse, Refusal> {

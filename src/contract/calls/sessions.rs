@@ -5,7 +5,7 @@ use std::mem;
 use crate::aiding::bases::BaseChoice;
 use crate::clock::gps_time;
 use crate::config::Mode;
-use crate::contract::{Caller, Lease, Refusal, convert, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, convert, finished, texts, v1};
 use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 use crate::store::{SCANNED_HEADS, SessionFilter};
@@ -135,8 +135,13 @@ pub async fn update(
     caller: &Caller,
     request: v1::UpdateSessionRequest,
 ) -> Result<v1::Session, Refusal> {
-    let session = request.session.clone();
-    caller.noted("Sessions.Update", &session, updated(caller, request).await).await
+    let (caller, session) = (caller.clone(), request.session.clone());
+    // The session's task must see settings that are stored.
+    let act = async move {
+        let updated = updated(&caller, request).await;
+        caller.noted("Sessions.Update", &session, updated).await
+    };
+    finished(act).await
 }
 
 async fn updated(
