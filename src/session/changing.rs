@@ -108,7 +108,7 @@ impl Sessions {
             self.check_label(label)?;
         }
         self.check_retention(update.retention_days)?;
-        let _starting = self.starting(id).lock().await;
+        let _starting = self.starting(id).await;
         let mut row = self.claimed(self.open_row(id).await?, id).await?;
         if update.etag.is_some_and(|etag| etag != etag_of(&row.settings)) {
             return Err(SessionError::Changed { id: id.to_string() });

@@ -83,7 +83,7 @@ impl Sessions {
         id: &SessionId,
         entry: Option<Box<AuditEntry>>,
     ) -> Result<(), SessionError> {
-        let _starting = self.starting(id).lock().await;
+        let _starting = self.starting(id).await;
         let row = self.row(id).await?;
         if row.closed_unix_ms.is_some() {
             return Ok(());

@@ -1,7 +1,6 @@
 //! The desk itself: the methods that the doors call.
 
 use std::collections::HashSet;
-use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -21,6 +20,7 @@ use super::answers::Reply;
 use super::configurations::Configurations;
 use super::counters::Counters;
 use super::live::Live;
+use super::locks::{SessionLock, SessionLocks};
 use super::parked::stores_until;
 use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
@@ -30,9 +30,6 @@ use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
     SessionLimits, Submitted,
 };
-
-/// Number of locks for starting and closing sessions. A session's id selects its lock.
-const STARTING_LOCKS: usize = 64;
 
 /// The desk for sessions, as one tenant sees it. All clones share the desk.
 ///
@@ -61,7 +58,7 @@ pub(super) struct Desk {
     pub(super) clock: Clock,
     pub(super) configurations: Configurations,
     /// Locked from the read of a session's row until its task has started, and while it is closed.
-    starting: [tokio::sync::Mutex<()>; STARTING_LOCKS],
+    starting: SessionLocks,
     tasks: Mutex<Tasks>,
     /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
@@ -101,7 +98,7 @@ impl Sessions {
             counters: Arc::new(Counters::new()),
             clock,
             configurations: Configurations::default(),
-            starting: std::array::from_fn(|_| tokio::sync::Mutex::new(())),
+            starting: SessionLocks::default(),
             tasks: Mutex::new(tasks),
             deleted,
             expiry,
@@ -213,7 +210,7 @@ impl Sessions {
         if self.post(id, message, epochs)? {
             return Ok(());
         }
-        let _starting = self.starting(id).lock().await;
+        let _starting = self.starting(id).await;
         if self.post(id, message, epochs)? {
             return Ok(()); // Another call has started it meanwhile.
         }
@@ -375,10 +372,9 @@ impl Sessions {
         self.desk.tasks()
     }
 
-    pub(super) fn starting(&self, id: &SessionId) -> &tokio::sync::Mutex<()> {
-        let mut hasher = DefaultHasher::new();
-        id.hash(&mut hasher);
-        &self.desk.starting[hasher.finish() as usize % STARTING_LOCKS]
+    /// Waits until no other call starts, changes or closes this session.
+    pub(super) async fn starting(&self, id: &SessionId) -> SessionLock<'_> {
+        self.desk.starting.lock(id).await
     }
 
     /// Puts a message into the mailbox of a running task. Returns `false` if no task runs;

@@ -103,6 +103,7 @@ mod history;
 mod info;
 mod limits;
 mod live;
+mod locks;
 mod moving;
 mod observed;
 mod panics;

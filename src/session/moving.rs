@@ -20,7 +20,7 @@ impl Sessions {
     /// # Errors
     /// The store fails.
     pub(crate) async fn give_up(&self, id: &SessionId) -> Result<bool, SessionError> {
-        let _starting = self.starting(id).lock().await;
+        let _starting = self.starting(id).await;
         {
             let mut tasks = self.tasks();
             if let Some(handle) = tasks.own(id, self.tenant()) {
