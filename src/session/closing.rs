@@ -75,7 +75,7 @@ impl Sessions {
         change: String,
     ) -> Box<AuditEntry> {
         let act = Act { call, tenant: self.tenant(), object: id.as_str(), change };
-        Box::new(author.does(act, self.unix_ms()))
+        Box::new(author.does(act, self.store().arrival_time(self.unix_ms())))
     }
 
     async fn close_whole(

@@ -219,13 +219,19 @@ macro_rules! select_entries {
 const NEWEST_FIRST: (&str, &str) = select_entries!("key < $1 ORDER BY key DESC");
 const OLDEST_FIRST: (&str, &str) = select_entries!("$1 < key ORDER BY key");
 
-/// Writes an entry, if there is one, within a transaction.
+/// Writes an entry, if there is one, within a transaction. If the clock is behind, the entry gets
+/// the time by which ages are counted, so that it is not removed early. `timed` entries have this
+/// time.
 macro_rules! note {
-    ($transaction:expr, $entry:expr) => {
+    (timed $transaction:expr, $entry:expr) => {
+        $crate::store::audit::note!(by |unix_ms: i64| unix_ms, $transaction, $entry)
+    };
+    (by $time:expr, $transaction:expr, $entry:expr) => {
         if let Some(entry) = Option::<&$crate::store::AuditEntry>::from($entry) {
+            let time = $time;
             sqlx::query($crate::store::audit::INSERT)
                 .bind(&entry.id)
-                .bind(entry.unix_ms)
+                .bind(time(entry.unix_ms))
                 .bind(entry.tenant.name())
                 .bind(&entry.author.actor)
                 .bind(entry.author.tenant.name())
@@ -239,6 +245,11 @@ macro_rules! note {
                 .await?;
         }
     };
+    ($store:expr, $transaction:expr, $entry:expr) => {
+        $crate::store::audit::note!(
+            by |unix_ms: i64| $store.arrival_time(unix_ms), $transaction, $entry
+        )
+    };
 }
 pub(super) use note;
 
@@ -251,7 +262,7 @@ impl Store {
         let noted = writing!(&self.pool, pool => {
             let note = async {
                 let mut connection = pool.acquire().await?;
-                note!(connection, entry);
+                note!(self, connection, entry);
                 Ok::<(), sqlx::Error>(())
             };
             note.await
@@ -327,5 +338,35 @@ impl Store {
         });
         let removed = removed.map_err(StoreError::database("removing entries of the audit log"))?;
         Ok(removed == entries as u64)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::{LOOPBACK, Page};
+
+    /// The log's retention counts by the time that is stored, and a clock may be behind it.
+    #[tokio::test]
+    async fn an_entry_is_not_older_than_what_is_stored() {
+        let folder = tempfile::tempdir().unwrap();
+        let url = format!("sqlite://{}", folder.path().join("graphfix.db").display());
+        let store = Store::open(&url).await.unwrap();
+        assert_eq!(store.advance_expiry_clock(5_000, 0).await.unwrap(), 5_000);
+        let tenant = Tenant::operator();
+        let author = Author {
+            actor: LOOPBACK.to_owned(),
+            tenant: tenant.clone(),
+            request: String::new(),
+            node: String::new(),
+        };
+        let act =
+            |object| Act { call: "Keys.Create", tenant: &tenant, object, change: String::new() };
+        store.note(&author.does(act("behind"), 7)).await.unwrap();
+        store.note(&author.does(act("right"), 6_000)).await.unwrap();
+        let filter = AuditFilter { oldest_first: true, ..AuditFilter::all() };
+        let Page { items, .. } = store.audit(&filter, 10, None).await.unwrap();
+        let times: Vec<i64> = items.iter().map(|entry| entry.unix_ms).collect();
+        assert_eq!(times, [5_000, 6_000]);
     }
 }

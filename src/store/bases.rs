@@ -366,7 +366,7 @@ impl Store {
                 if let Some(feed) = feed {
                     feed!(key, feed, &self.secrets).execute(&mut *transaction).await?;
                 }
-                note!(transaction, entry);
+                note!(self, transaction, entry);
                 notify!(self, transaction, Change::Bases);
                 transaction.commit().await?;
                 Ok::<BaseKey, sqlx::Error>(key)
@@ -475,7 +475,7 @@ impl Store {
                     sqlx::query(DELETE_FEED).bind(base.0).execute(&mut *transaction).await?;
                     let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
                     forget.execute(&mut *transaction).await?;
-                    note!(transaction, entry);
+                    note!(self, transaction, entry);
                     notify!(self, transaction, Change::Bases);
                 }
                 transaction.commit().await?;

@@ -73,7 +73,7 @@ impl Store {
                 let mut transaction = pool.begin().await?;
                 let delete = sqlx::query(DELETE).bind(session.0).bind(unix_ms);
                 delete.execute(&mut *transaction).await?;
-                note!(transaction, entry);
+                note!(self, transaction, entry);
                 transaction.commit().await
             };
             delete.await

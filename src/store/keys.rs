@@ -153,7 +153,7 @@ impl Store {
                     let expire = sqlx::query(EXPIRE).bind(expires_unix_ms).bind(number);
                     expire.bind(earlier).execute(&mut *transaction).await?;
                 }
-                note!(transaction, entry);
+                note!(self, transaction, entry);
                 transaction.commit().await
             };
             create.await
@@ -178,7 +178,7 @@ impl Store {
                     sqlx::query_scalar(COUNT_UP).fetch_one(&mut *transaction).await?;
                 let revoke = sqlx::query(REVOKE).bind(unix_ms).bind(number).bind(id);
                 if revoke.execute(&mut *transaction).await?.rows_affected() == 1 {
-                    note!(transaction, entry);
+                    note!(self, transaction, entry);
                 }
                 transaction.commit().await
             };

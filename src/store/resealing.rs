@@ -163,7 +163,7 @@ impl Store {
                 if forgotten == 0 {
                     return Ok(0); // No act for the audit log.
                 }
-                note!(transaction, entry);
+                note!(self, transaction, entry);
                 transaction.commit().await?;
                 Ok(forgotten)
             };

@@ -233,7 +233,7 @@ impl Store {
                 let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
                 clear.execute(&mut *transaction).await?;
                 insert_candidates!(transaction, key.0, &settings.base);
-                note!(transaction, entry);
+                note!(self, transaction, entry);
                 transaction.commit().await
             };
             updated.await

@@ -119,7 +119,7 @@ impl Store {
                 let before = present.map(|row| row.quotas).unwrap_or_default();
                 let (object, change) = (tenant.name(), quotas.changes_since(&before));
                 let act = Act { call: "Tenants.Set", tenant, object, change };
-                note!(transaction, &author.does(act, unix_ms));
+                note!(self, transaction, &author.does(act, unix_ms));
                 transaction.commit().await?;
                 Ok::<bool, sqlx::Error>(true)
             };

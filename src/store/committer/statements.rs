@@ -291,7 +291,7 @@ async fn write_changes(
             close.execute(&mut *transaction).await?;
             sqlx::query(FORGET_ALL_RAW).bind(session).execute(&mut *transaction).await?;
         }
-        note!(transaction, batch.entry.as_deref());
+        note!(timed transaction, batch.entry.as_deref());
     }
     Ok(())
 }

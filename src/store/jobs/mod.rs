@@ -216,7 +216,7 @@ impl Store {
                 let delete = sqlx::query(sql).bind(id).bind(tenant.name());
                 let is_done = delete.execute(&mut *transaction).await?.rows_affected() == 1;
                 if is_done {
-                    note!(transaction, entry);
+                    note!(self, transaction, entry);
                 }
                 transaction.commit().await.map(|()| is_done)
             };
