@@ -50,6 +50,14 @@ pub enum KeyError {
         /// The limit.
         limit: i64,
     },
+    /// A tenant has created as many keys within a day as allowed.
+    #[error("tenant {tenant} has created {limit} keys within a day, as many as allowed")]
+    TooManyCreated {
+        /// The tenant.
+        tenant: String,
+        /// The limit.
+        limit: i64,
+    },
     /// A name is not the name of a right.
     #[error("{name:?} is not a right; the rights are device, read, operate, admin")]
     UnknownRight {
@@ -101,7 +109,7 @@ impl KeyError {
             Self::CsrfTokenInvalid => Code::CsrfTokenInvalid,
             Self::TooManyAttempts { .. } => Code::TooManyAttempts,
             Self::NotFound { .. } => Code::KeyNotFound,
-            Self::TooMany { .. } => Code::TooManyKeys,
+            Self::TooMany { .. } | Self::TooManyCreated { .. } => Code::TooManyKeys,
             Self::UnknownRight { .. } | Self::NoRights | Self::LabelControl { .. } => {
                 Code::InvalidField
             }

@@ -8,9 +8,10 @@ use std::time::Duration;
 use tokio::sync::Mutex;
 use tokio::time::{Instant, sleep_until};
 
+use crate::clock::unix_ms;
 use crate::store::{Store, StoreError};
 
-use super::register::Register;
+use super::register::{ENDED, Register};
 use super::sign_ins::SignIns;
 
 /// Shortest time between two reads for requests. Requests in between share one read.
@@ -89,12 +90,20 @@ impl Known {
     }
 
     async fn read_keys(&self) -> Result<(), StoreError> {
+        self.register.read_forgotten(unix_ms());
+        // Only the last revocations of a service that has just started are read. Later ones all
+        // are, because they end keys in force.
+        let revoked_after = match self.register.changed() {
+            0 => self.store.last_key_change().await? - ENDED as i64,
+            _ => 0,
+        };
         loop {
-            let keys = self.store.changed_keys(self.register.changed()).await?;
+            let keys = self.store.changed_keys(self.register.changed(), revoked_after).await?;
             if keys.is_empty() {
                 return Ok(());
             }
             self.register.take(keys);
+            self.register.forget_ended(unix_ms());
         }
     }
 }

@@ -1,4 +1,4 @@
-//! All keys in memory, by the hash of their secrets.
+//! The keys in memory, by the hash of their secrets: all keys in force, and those that ended last.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -15,20 +15,28 @@ use super::{KeyError, Rights, secret};
 
 /// Expiry of a key that does not expire.
 const NEVER: i64 = i64::MAX;
+/// Most keys in memory that have ended; their requests are refused with the code of their end. Of
+/// more, those that ended first are forgotten: a request with one of them is refused as one with a
+/// key that never existed.
+pub(super) const ENDED: usize = 4_096;
+/// They are forgotten once there are this many more than that.
+const ENDED_MORE: usize = ENDED / 4;
 
-/// All keys, and the rights of requests without a key.
+/// The keys in memory, and the rights of requests without a key.
 #[derive(Debug)]
 pub(super) struct Register {
     holders: RwLock<Holders>,
     /// Number of the last change that was read.
     changed: AtomicI64,
+    /// The latest expiry of a key that was forgotten because it has expired.
+    forgotten_unix_ms: AtomicI64,
     /// Whether requests need a key. It is never set back.
     is_closed: AtomicBool,
     /// The holder for requests without a key, while none is needed.
     anybody: Arc<Holder>,
 }
 
-/// The holders of all keys.
+/// The holders of the keys in memory.
 #[derive(Debug, Default)]
 struct Holders {
     /// By the hash of the key's secret.
@@ -44,6 +52,7 @@ struct Holder {
     tenant: Tenant,
     rights: Rights,
     expires_unix_ms: AtomicI64,
+    revoked_unix_ms: AtomicI64,
     state: watch::Sender<State>,
     last_used_unix_ms: AtomicI64,
     /// The time of the last use that is stored.
@@ -75,6 +84,7 @@ impl Register {
         Self {
             holders: RwLock::default(),
             changed: AtomicI64::new(0),
+            forgotten_unix_ms: AtomicI64::new(i64::MIN),
             is_closed: AtomicBool::new(false),
             anybody: Arc::new(anybody),
         }
@@ -114,7 +124,8 @@ impl Register {
             holder.expires_unix_ms.fetch_min(expires_unix_ms, Ordering::AcqRel);
             let noted = last_used_unix_ms.unwrap_or(0);
             holder.noted_unix_ms.fetch_max(noted, Ordering::AcqRel);
-            if revoked_unix_ms.is_some() {
+            if let Some(revoked_unix_ms) = revoked_unix_ms {
+                holder.revoked_unix_ms.store(revoked_unix_ms, Ordering::Release);
                 holder.revoke();
             }
         }
@@ -150,6 +161,42 @@ impl Register {
         self.read().by_hash.values().for_each(|holder| holder.follow_clock(unix_ms));
     }
 
+    /// Forgets the keys that ended first, if there are too many, as of this time.
+    pub(super) fn forget_ended(&self, unix_ms: i64) {
+        self.follow_clock(unix_ms);
+        let ended = self.read().by_hash.values().filter(|holder| holder.has_ended()).count();
+        if ended <= ENDED + ENDED_MORE {
+            return;
+        }
+        let mut holders = self.holders.write().unwrap_or_else(PoisonError::into_inner);
+        let Holders { by_hash, by_id } = &mut *holders;
+        // A revocation must reach each pass. So a key stays while a request or a sign-in has one.
+        let is_free = |holder: &Arc<Holder>| holder.has_ended() && Arc::strong_count(holder) == 2;
+        let mut ended: Vec<(i64, [u8; 32])> = by_hash
+            .iter()
+            .filter(|(_, holder)| is_free(holder))
+            .map(|(hash, holder)| (holder.end_unix_ms(), *hash))
+            .collect();
+        ended.sort_unstable();
+        let forgotten = ended.len().saturating_sub(ENDED);
+        for (end_unix_ms, hash) in &ended[..forgotten] {
+            let Some(holder) = by_hash.remove(hash) else { continue };
+            by_id.remove(&holder.id);
+            if *holder.state.borrow() == State::Expired {
+                self.forgotten_unix_ms.fetch_max(*end_unix_ms, Ordering::AcqRel);
+            }
+        }
+    }
+
+    /// If a forgotten key has not expired at this time, because the clock was ahead when it was
+    /// forgotten, all changes are to be read again.
+    pub(super) fn read_forgotten(&self, unix_ms: i64) {
+        if unix_ms < self.forgotten_unix_ms.load(Ordering::Acquire) {
+            self.forgotten_unix_ms.store(i64::MIN, Ordering::Release);
+            self.changed.store(0, Ordering::Release);
+        }
+    }
+
     /// The last uses that are not stored yet.
     pub(super) fn uses(&self) -> Vec<(String, i64)> {
         let read = self.read();
@@ -179,6 +226,7 @@ impl Holder {
             tenant: tenant.clone(),
             rights,
             expires_unix_ms: AtomicI64::new(expires_unix_ms),
+            revoked_unix_ms: AtomicI64::new(NEVER),
             state: watch::Sender::new(State::InForce),
             last_used_unix_ms: AtomicI64::new(0),
             noted_unix_ms: AtomicI64::new(0),
@@ -187,6 +235,16 @@ impl Holder {
 
     fn revoke(&self) {
         self.state.send_if_modified(|state| replace(state, State::Revoked) != State::Revoked);
+    }
+
+    fn has_ended(&self) -> bool {
+        *self.state.borrow() != State::InForce
+    }
+
+    /// When it ended or will end (ms since 1970-01-01 UTC).
+    fn end_unix_ms(&self) -> i64 {
+        let revoked = self.revoked_unix_ms.load(Ordering::Acquire);
+        self.expires_unix_ms.load(Ordering::Acquire).min(revoked)
     }
 
     /// Expired or in force, as of this time, unless it is revoked.
@@ -376,6 +434,45 @@ mod tests {
         register.take(vec![of_secret(&first)]);
         assert_eq!(register.changed(), 3);
         assert_eq!(refused(&register, Some(secret.text()), 0), Code::KeyRevoked);
+    }
+
+    /// Of many revoked keys those that ended last stay in memory. Keys in force stay all, and one
+    /// that a stream still has.
+    #[test]
+    fn ended_keys_are_bounded_in_memory() {
+        let register = Register::new();
+        let (kept, used) = (Secret::random().unwrap(), Secret::random().unwrap());
+        register.take(vec![row(&kept, 1, None), row(&used, 2, Some(5))]);
+        let pass = register.find(Some(used.text()), 0).unwrap();
+        let secrets: Vec<Secret> = (0..3 * ENDED).map(|_| Secret::random().unwrap()).collect();
+        for (changed, secret) in (3..).zip(&secrets) {
+            let revoked_unix_ms = Some(changed);
+            register.take(vec![KeyRow { revoked_unix_ms, ..row(secret, changed, None) }]);
+        }
+        register.forget_ended(10);
+        assert_eq!(register.read().by_hash.len(), ENDED + 2);
+        assert_eq!(register.read().by_id.len(), ENDED + 2);
+        let refused = |secret: &Secret| refused(&register, Some(secret.text()), 10);
+        assert_eq!(refused(&secrets[0]), Code::KeyInvalid);
+        assert_eq!(refused(&secrets[3 * ENDED - 1]), Code::KeyRevoked);
+        register.find(Some(kept.text()), 10).unwrap();
+        assert_eq!(pass.check().unwrap_err().code(), Code::KeyExpired);
+        assert_eq!(register.changed(), 2 + 3 * ENDED as i64);
+    }
+
+    /// Keys that were forgotten while the clock was ahead are read again.
+    #[test]
+    fn forgotten_keys_are_read_again_when_the_clock_steps_back() {
+        let register = Register::new();
+        for changed in 1..=2 * ENDED as i64 {
+            let secret = Secret::random().unwrap();
+            register.take(vec![row(&secret, changed, Some(1_000 + changed))]);
+        }
+        register.forget_ended(1_000_000);
+        register.read_forgotten(1_000_000);
+        assert_eq!(register.changed(), 2 * ENDED as i64);
+        register.read_forgotten(1_001);
+        assert_eq!(register.changed(), 0);
     }
 
     #[test]

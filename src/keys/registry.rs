@@ -1,7 +1,7 @@
 //! Changes of keys in the store. The service and the command line make them here, even at the same
 //! time.
 
-use crate::clock::Clock;
+use crate::clock::{Clock, MS_PER_DAY};
 use crate::store::{Act, Author, KeyRow, NewKeyRow, Page, Store};
 use crate::tenant::Tenant;
 
@@ -9,6 +9,8 @@ use super::{KeyError, KeyId, Rights, Secret, secret};
 
 /// Most keys in force in one database. Each service has them in memory.
 const KEYS: i64 = 65_536;
+/// Most keys that a tenant creates within a day. Rows of keys that have ended are kept for long.
+const CREATED: i64 = 10_000;
 /// Most characters of a label.
 const LABEL: usize = 200;
 
@@ -62,18 +64,20 @@ pub struct KeyRegistry {
     clock: Clock,
     /// Most keys that may be in force.
     most: i64,
+    /// Most keys that a tenant may create within a day.
+    most_created: i64,
 }
 
 impl KeyRegistry {
     /// The keys in `store`.
     pub const fn new(store: Store) -> Self {
-        Self { store, clock: Clock::system(), most: KEYS }
+        Self { store, clock: Clock::system(), most: KEYS, most_created: CREATED }
     }
 
     /// Creates a key, as an act of `author`.
     ///
     /// # Errors
-    /// It has no right, its label is too long, the limit of keys is reached, or the store fails.
+    /// It has no right, its label is too long, a limit of keys is reached, or the store fails.
     pub async fn create(&self, new: NewKey, author: &Author) -> Result<Created, KeyError> {
         self.insert(new, None, author).await
     }
@@ -121,6 +125,11 @@ impl KeyRegistry {
         let created_unix_ms = self.clock.unix_ms();
         if self.most <= self.store.count_keys(created_unix_ms).await? {
             return Err(KeyError::TooMany { limit: self.most });
+        }
+        let limit = self.most_created;
+        let day_before = created_unix_ms - MS_PER_DAY;
+        if limit <= self.store.count_created_keys(&tenant, day_before).await? {
+            return Err(KeyError::TooManyCreated { tenant: tenant.to_string(), limit });
         }
         let secret = Secret::random()?;
         let row = NewKeyRow {
@@ -222,7 +231,7 @@ mod tests {
     async fn registry(folder: &tempfile::TempDir) -> KeyRegistry {
         let url = format!("sqlite://{}", folder.path().join("keys.db").display());
         let store = Store::open(&url).await.unwrap();
-        KeyRegistry { store, clock: Clock::at(1_000_000), most: 2 }
+        KeyRegistry { store, clock: Clock::at(1_000_000), most: 2, most_created: 6 }
     }
 
     fn author() -> Author {
@@ -260,6 +269,43 @@ mod tests {
         assert_eq!(refused().await, Code::TooManyKeys);
         keys.revoke(None, &first.id, &author()).await.unwrap();
         keys.rotate(&second.id, None, 0, &author()).await.unwrap();
+    }
+
+    /// Revoked keys count, so that a tenant cannot fill the database with them. Those of other
+    /// tenants do not.
+    #[tokio::test]
+    async fn the_keys_that_a_tenant_creates_within_a_day_are_bounded() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        for _ in 0..6 {
+            let key = keys.create(new(None), &author()).await.unwrap().key;
+            keys.revoke(None, &key.id, &author()).await.unwrap();
+        }
+        let refused = keys.create(new(None), &author()).await.unwrap_err();
+        assert_eq!(refused.code(), Code::TooManyKeys);
+        assert!(refused.to_string().contains("within a day"), "{refused}");
+        let tenant = Tenant::parse("other").unwrap();
+        keys.create(NewKey { tenant, ..new(None) }, &author()).await.unwrap();
+        keys.clock.set(1_000_000 + MS_PER_DAY);
+        keys.create(new(None), &author()).await.unwrap();
+    }
+
+    /// Keys that ended long ago are removed, but never the newest one.
+    #[tokio::test]
+    async fn ended_keys_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let keys = registry(&folder).await;
+        let lifetimes = [Some(1_000), Some(9_000), Some(500), Some(1_000)];
+        for lifetime_ms in lifetimes {
+            keys.create(new(lifetime_ms), &author()).await.unwrap();
+            keys.clock.set(keys.clock.unix_ms() + 1_000);
+        }
+        let remove = async || keys.store.remove_keys_ended_before(1_008_000, 1).await.unwrap();
+        assert!(remove().await && remove().await && !remove().await);
+        let left = keys.list(None, 10, None).await.unwrap().items;
+        let lifetime = |key: &KeyInfo| key.expires_unix_ms.map(|ms| ms - key.created_unix_ms);
+        let left: Vec<_> = left.iter().rev().map(lifetime).collect();
+        assert_eq!(left, [lifetimes[1], lifetimes[3]]);
     }
 
     /// The replaced key ends after the overlap, or at its own expiry if that is sooner.

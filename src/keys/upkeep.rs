@@ -48,7 +48,7 @@ impl Upkeep {
         let (mut noted, mut is_current) = (Instant::now(), true);
         loop {
             sleep(REFRESH_INTERVAL).await;
-            known.register.follow_clock(self.clock.unix_ms());
+            known.register.forget_ended(self.clock.unix_ms());
             let was_current = is_current;
             is_current = match known.refresh().await {
                 Ok(()) => true,

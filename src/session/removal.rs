@@ -1,5 +1,5 @@
-//! Frees the space of deleted sessions, of epochs older than their retention, and of old entries of
-//! the audit log, in the background.
+//! Frees the space of deleted sessions and bases, of epochs older than their retention, and of old
+//! entries of the audit log and the keys that ended before them, in the background.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -15,7 +15,7 @@ use super::SessionLimits;
 
 /// Epochs removed in one transaction, so that commits wait for few milliseconds.
 const EPOCHS_PER_STEP: usize = 500;
-/// Entries of the audit log, or rows of the history, removed in one transaction.
+/// Entries of the audit log, keys, or rows of the history, removed in one transaction.
 const ENTRIES_PER_STEP: usize = 500;
 /// Pause between transactions, so that those of others come in between.
 const PAUSE: Duration = Duration::from_millis(20);
@@ -130,13 +130,17 @@ impl Expiry {
         Ok(())
     }
 
-    /// Removes the entries of the audit log that are older than its retention on this day.
+    /// Removes the entries of the audit log that are older than its retention on this day, and the
+    /// keys that ended before. No entry then names these.
     async fn remove_audit(&self, today: i64) -> Result<(), StoreError> {
         if self.audit_days == 0 {
             return Ok(());
         }
         let oldest_ms = MS_PER_DAY * (today - i64::from(self.audit_days));
         while self.store.remove_audit_before(oldest_ms, ENTRIES_PER_STEP).await? {
+            sleep(PAUSE).await;
+        }
+        while self.store.remove_keys_ended_before(oldest_ms, ENTRIES_PER_STEP).await? {
             sleep(PAUSE).await;
         }
         Ok(())

@@ -29,6 +29,9 @@ const TENANT: &str = "INSERT INTO tenants (name, created_unix_ms) VALUES ($1, $2
     ON CONFLICT (name) DO NOTHING";
 const USE: &str = "UPDATE api_keys SET last_used_unix_ms = $1 \
     WHERE id = $2 AND (last_used_unix_ms IS NULL OR last_used_unix_ms < $1)";
+const REMOVE: &str = "DELETE FROM api_keys WHERE key IN (SELECT key FROM api_keys \
+    WHERE (revoked_unix_ms < $1 OR expires_unix_ms < $1) \
+    AND key < (SELECT MAX(key) FROM api_keys) ORDER BY key LIMIT $2)";
 
 /// A new key.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -265,15 +268,70 @@ impl Store {
         count.map_err(StoreError::database("counting keys"))
     }
 
-    /// Keys that were changed after the change with this number, in the order of their changes. If
-    /// there are many, the first of them.
+    /// Number of keys of a tenant that were created after this time (ms since 1970-01-01 UTC).
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn count_created_keys(
+        &self,
+        tenant: &Tenant,
+        after_unix_ms: i64,
+    ) -> Result<i64, StoreError> {
+        let count: Result<i64, _> = reading!(&self.pool, pool => {
+            let sql = "SELECT COUNT(*) FROM api_keys WHERE tenant = $1 AND $2 < created_unix_ms";
+            sqlx::query_scalar(sql).bind(tenant.name()).bind(after_unix_ms).fetch_one(pool).await
+        });
+        count.map_err(StoreError::database("counting keys"))
+    }
+
+    /// Removes up to `keys` of the keys that ended before this time (ms since 1970-01-01 UTC), but
+    /// never the newest key, so that calls need a key for ever. Returns whether there may be more.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn remove_keys_ended_before(
+        &self,
+        unix_ms: i64,
+        keys: usize,
+    ) -> Result<bool, StoreError> {
+        let removed = writing!(&self.pool, pool => {
+            let remove = sqlx::query(REMOVE).bind(unix_ms).bind(keys as i64);
+            remove.execute(pool).await.map(|done| done.rows_affected())
+        });
+        let removed = removed.map_err(StoreError::database("removing keys"))?;
+        Ok(removed == keys as u64)
+    }
+
+    /// Number of the last change of a stored key; 0 without keys.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn last_key_change(&self) -> Result<i64, StoreError> {
+        let number: Result<i64, _> = reading!(&self.key_pool, pool => {
+            let sql = "SELECT COALESCE(MAX(changed), 0) FROM api_keys";
+            sqlx::query_scalar(sql).fetch_one(pool).await
+        });
+        number.map_err(StoreError::database("reading changed keys"))
+    }
+
+    /// Keys that were changed after the change with this number, in the order of their changes,
+    /// without those whose last change is a revocation up to number `revoked_after`. If there are
+    /// many, the first of them.
     ///
     /// # Errors
     /// The database fails, or a row is corrupt.
-    pub(crate) async fn changed_keys(&self, after: i64) -> Result<Vec<KeyRow>, StoreError> {
+    pub(crate) async fn changed_keys(
+        &self,
+        after: i64,
+        revoked_after: i64,
+    ) -> Result<Vec<KeyRow>, StoreError> {
         let rows: Result<Vec<RawKey>, _> = reading!(&self.key_pool, pool => {
-            let sql = select_keys!("WHERE $1 < changed ORDER BY changed LIMIT $2");
-            sqlx::query_as(sql).bind(after).bind(CHANGES).fetch_all(pool).await
+            let sql = select_keys!(
+                "WHERE $1 < changed AND (revoked_unix_ms IS NULL OR $2 < changed) \
+                 ORDER BY changed LIMIT $3"
+            );
+            let select = sqlx::query_as(sql).bind(after).bind(revoked_after);
+            select.bind(CHANGES).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("reading changed keys"))?;
         rows.into_iter().map(RawKey::parse).collect()

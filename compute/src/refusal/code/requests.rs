@@ -104,8 +104,9 @@ macro_rules! requests {
     /// The files of the tenant's jobs take as many bytes as its quota.
     JobStorageQuotaExceeded = "JOB_STORAGE_QUOTA_EXCEEDED", Exhausted,
         "delete jobs (purge=true) and uploads, or let the operator raise the tenant's quota";
-    /// As many keys are in force as allowed.
-    TooManyKeys = "TOO_MANY_KEYS", Precondition, "revoke keys that are no longer used";
+    /// As many keys are in force as allowed, or the tenant has created as many within a day.
+    TooManyKeys = "TOO_MANY_KEYS", Precondition,
+        "revoke keys that are no longer used, and create fewer keys a day";
 
     // Configuration of a session.
 
