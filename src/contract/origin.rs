@@ -236,6 +236,7 @@ impl From<SessionError> for Refusal {
             SessionError::MailboxFull { .. }
             | SessionError::Overloaded { .. }
             | SessionError::TooManyActive { .. }
+            | SessionError::TooManyUpdates { .. }
             | SessionError::Quota(_)
             | SessionError::Draining
             | SessionError::EstimatorFailed { .. }

@@ -1,5 +1,7 @@
 //! Creates sessions, and changes their settings.
 
+use std::time::Instant;
+
 use crate::config::PositioningOptions;
 use crate::store::{Author, Created, NamedRequest, SessionKey, SessionSettings};
 
@@ -84,8 +86,8 @@ impl Sessions {
     /// are positioned with the new configuration; epochs already in the mailbox may be, too.
     ///
     /// # Errors
-    /// No session has this id, the session is closed, it has another etag than the one given, or a
-    /// configuration, base or antenna does not exist.
+    /// No session has this id, the session is closed, it has another etag than the one given, a
+    /// configuration, base or antenna does not exist, or the session has changed too often.
     pub async fn update(
         &self,
         id: &SessionId,
@@ -147,6 +149,7 @@ impl Sessions {
             self.outdated(id, row.key);
             return self.info(id.clone(), row); // Nothing to write, and no act for the audit log.
         }
+        self.desk().update_rates.admit(id, Instant::now())?;
         let entry = author.map(|author| {
             self.entry(author, "Sessions.Update", id, changes(&before, &row.settings))
         });

@@ -7,7 +7,7 @@ use crate::aiding::AidingDesk;
 use crate::aiding::bases::BaseChoice;
 use crate::gnss::AntennaCalibration;
 use crate::positioning::PreparedOptions;
-use crate::store::{SessionRow, SessionSettings};
+use crate::store::{SessionRow, SessionSettings, Store};
 
 use super::SessionError;
 use super::configuration::{base_of, stored_options};
@@ -31,7 +31,11 @@ pub(super) struct ActiveConfiguration {
 /// Configurations in use. To read the options from texts and to prepare them takes as long as to
 /// position an epoch, and a fleet has few configurations. Clones share them.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Configurations(Arc<Mutex<HashMap<Key, Known>>>);
+pub(super) struct Configurations {
+    known: Arc<Mutex<HashMap<Key, Known>>>,
+    /// Where they are stored; `None` for computations whose results are not.
+    store: Option<Store>,
+}
 
 /// The hash of a configuration, its mode and its profile. Mode and profile give the values of
 /// options that did not exist when the configuration was stored.
@@ -46,6 +50,13 @@ struct Known {
 }
 
 impl Configurations {
+    /// Configurations of sessions whose epochs are stored. Each is stored for replay before an
+    /// epoch can be positioned with it. One that is never used is not stored, so that changes
+    /// of settings take no space.
+    pub(super) fn stored_in(store: Store) -> Self {
+        Self { store: Some(store), ..Self::default() }
+    }
+
     /// The options and bases for a session's next epochs.
     ///
     /// # Errors
@@ -79,6 +90,9 @@ impl Configurations {
         let antenna = calibration(aiding, antenna).await?;
         let configuration =
             Configuration { version: VERSION.into(), hash: hash.clone(), options, antenna };
+        if let Some(store) = &self.store {
+            store.keep_configuration(settings).await?;
+        }
         let mut known = self.known();
         if KEPT <= known.len() {
             known.clear();
@@ -89,7 +103,7 @@ impl Configurations {
     }
 
     fn known(&self) -> MutexGuard<'_, HashMap<Key, Known>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

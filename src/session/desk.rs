@@ -26,6 +26,7 @@ use super::removal::{Expiry, remove_deleted};
 use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission};
 use super::tasks::{Handle, Start, Tasks};
+use super::update_rates::UpdateRates;
 use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
     SessionLimits, Submitted,
@@ -59,6 +60,7 @@ pub(super) struct Desk {
     pub(super) configurations: Configurations,
     /// Locked from the read of a session's row until its task has started, and while it is closed.
     starting: SessionLocks,
+    pub(super) update_rates: UpdateRates,
     tasks: Mutex<Tasks>,
     /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
@@ -89,6 +91,7 @@ impl Sessions {
         let expiry = Arc::new(expiry);
         removal.spawn(expiry.clone().remove_hourly());
         let desk = Desk {
+            configurations: Configurations::stored_in(store.clone()),
             store,
             aiding,
             solvers: Solvers::new(limits.solver_threads),
@@ -97,8 +100,8 @@ impl Sessions {
             limits,
             counters: Arc::new(Counters::new()),
             clock,
-            configurations: Configurations::default(),
             starting: SessionLocks::default(),
+            update_rates: UpdateRates::default(),
             tasks: Mutex::new(tasks),
             deleted,
             expiry,

@@ -165,6 +165,14 @@ pub enum SessionError {
         /// The delay before the next attempt.
         retry_after: Duration,
     },
+    /// The settings of the session have changed too often.
+    #[error("the settings of the session may change {limit} times at once, and then more slowly")]
+    TooManyUpdates {
+        /// Number of changes allowed at once.
+        limit: u32,
+        /// The delay before the next attempt.
+        retry_after: Duration,
+    },
     /// The tenant has used a quota.
     #[error(transparent)]
     Quota(#[from] QuotaError),
@@ -295,6 +303,7 @@ impl SessionError {
             Self::MailboxFull { .. } => Code::MailboxFull,
             Self::Overloaded { .. } => Code::Overloaded,
             Self::TooManyActive { .. } => Code::TooManyActiveSessions,
+            Self::TooManyUpdates { .. } => Code::TooManyUpdates,
             Self::TooManyArcs { .. } => Code::TooManyArcs,
             Self::WindowTooLong { .. } | Self::TooCostly { .. } => Code::TooCostly,
             Self::Empty { .. } => Code::SessionEmpty,
@@ -318,7 +327,8 @@ impl SessionError {
         let base = match self {
             Self::MailboxFull { retry_after, .. }
             | Self::Overloaded { retry_after, .. }
-            | Self::TooManyActive { retry_after, .. } => *retry_after,
+            | Self::TooManyActive { retry_after, .. }
+            | Self::TooManyUpdates { retry_after, .. } => *retry_after,
             // A quota says when it allows more.
             Self::Quota(error) => error.retry_after(),
             Self::Draining | Self::Interrupted => UNAVAILABLE,

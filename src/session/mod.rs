@@ -125,6 +125,7 @@ mod streamed;
 mod submission;
 mod task;
 mod tasks;
+mod update_rates;
 mod watching;
 
 pub use crate::store::SessionHead;

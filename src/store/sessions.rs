@@ -143,7 +143,6 @@ impl Store {
         created_unix_ms: i64,
         request: Option<&NamedRequest>,
     ) -> Result<Option<SessionRow>, StoreError> {
-        self.store_configuration(settings).await?;
         let key = writing!(&self.pool, pool => {
             let inserted = async {
                 let mut transaction = pool.begin().await?;
@@ -206,7 +205,6 @@ impl Store {
         settings: &SessionSettings,
         entry: Option<&AuditEntry>,
     ) -> Result<(), StoreError> {
-        self.store_configuration(settings).await?;
         let updated = writing!(&self.pool, pool => {
             let updated = async {
                 let mut transaction = pool.begin().await?;
@@ -254,8 +252,15 @@ impl Store {
         Ok(rows.into_iter().map(|seq| seq as u64).collect())
     }
 
-    /// Stores a configuration under its hash, for replay. Equal hashes mean equal configurations.
-    async fn store_configuration(&self, settings: &SessionSettings) -> Result<(), StoreError> {
+    /// Stores the configuration of a session under its hash, for replay. It must be stored before
+    /// the first epoch that is positioned with it. Equal hashes mean equal configurations.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn keep_configuration(
+        &self,
+        settings: &SessionSettings,
+    ) -> Result<(), StoreError> {
         let stored = writing!(&self.pool, pool => sqlx::query(
             "INSERT INTO configurations (hash, mode, profile, configuration, calibration)
              VALUES ($1, $2, $3, $4, $5) ON CONFLICT (hash) DO NOTHING",

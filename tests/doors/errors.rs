@@ -73,6 +73,7 @@ const REACHED_BY: &[(Code, &str)] = &[
     (Code::MailboxFull, "tests/doors/sessions.rs"),
     (Code::Overloaded, "tests/doors/sessions.rs"),
     (Code::TooManyActiveSessions, "tests/doors/sessions.rs"),
+    (Code::TooManyUpdates, "src/session/update_rates.rs"),
     (Code::TooManyArcs, "tests/doors/sessions.rs"),
     (Code::EstimatorFailed, "src/session/solvers/mod.rs"),
     (Code::EpochNotFound, "tests/doors/http/solutions.rs"),

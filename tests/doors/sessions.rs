@@ -49,6 +49,7 @@ on_both_databases!(
     sessions_are_listed_in_pages,
     sessions_with_options_of_another_version_are_listed,
     configurations_that_do_not_exist_are_refused,
+    only_configurations_with_epochs_are_stored,
     requests_are_solved_without_a_trace,
 );
 
@@ -689,4 +690,26 @@ async fn sessions_with_options_of_another_version_are_listed(database: Database)
     assert_eq!(names(&listed[1]), names(&known));
     let mask = listed[1].configuration.iter().find(|entry| entry.name == "elevation_mask_deg");
     assert_eq!(mask.map(|entry| &*entry.value), Some("17"));
+}
+
+/// Changes of settings take no space, however many there are. Each session with an epoch can be
+/// replayed, so its configuration is stored.
+async fn only_configurations_with_epochs_are_stored(database: Database) {
+    let sessions = desk_with(&database.store().await, SessionLimits::service()).await;
+    let id = created(&sessions).await;
+    let set = async |value: &str| {
+        let overrides = [("elevation_mask_deg".to_owned(), value.to_owned())].into();
+        let update = SessionUpdate { overrides, ..SessionUpdate::default() };
+        sessions.update(&id, update).await.unwrap();
+    };
+    let before = database.count("configurations").await;
+    for value in ["11", "12", "13"] {
+        set(value).await;
+    }
+    assert_eq!(database.count("configurations").await, before);
+    for (seq, value) in [(1, "14"), (2, "15")] {
+        set(value).await;
+        sessions.submit(&id, vec![epoch(seq, seq as f64)]).await.unwrap();
+    }
+    assert_eq!(database.count("configurations").await, before + 2);
 }

@@ -203,6 +203,9 @@ macro_rules! requests {
     /// As many sessions are active as allowed, and all of them have epochs waiting.
     TooManyActiveSessions = "TOO_MANY_ACTIVE_SESSIONS", Exhausted,
         "wait for the delay in the answer and send the same epochs again";
+    /// The settings of the session have changed too often.
+    TooManyUpdates = "TOO_MANY_UPDATES", Exhausted,
+        "wait for the delay in the answer, and change several fields in one call";
     /// The session has been reset as often as allowed.
     TooManyArcs = "TOO_MANY_ARCS", Precondition,
         "open another session, and close or delete this one";
