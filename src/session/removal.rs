@@ -34,14 +34,20 @@ const STEP_MS: i64 = MS_PER_DAY;
 /// removed their rows.
 const LOOK_INTERVAL: Duration = Duration::from_secs(60);
 
-/// Removes the rows of deleted sessions at the start, once a minute, and whenever it is woken.
+/// Removes the rows of deleted sessions, and the epochs of deleted bases, at the start, once a
+/// minute, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
+    let step = async || {
+        let of_session = store.remove_deleted(EPOCHS_PER_STEP).await?;
+        Ok(of_session || store.remove_epochs_of_deleted_bases(EPOCHS_PER_STEP).await?)
+    };
     loop {
-        match store.remove_deleted(EPOCHS_PER_STEP).await {
+        let removed: Result<bool, StoreError> = step().await;
+        match removed {
             Ok(true) => sleep(PAUSE).await,
             Ok(false) => drop(timeout(LOOK_INTERVAL, deleted.notified()).await),
             Err(error) => {
-                tracing::warn!(%error, "deleted sessions still take space");
+                tracing::warn!(%error, "deleted sessions and bases still take space");
                 sleep(RETRY).await;
             }
         }

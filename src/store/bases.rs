@@ -412,7 +412,8 @@ impl Store {
         Ok(bases)
     }
 
-    /// Stores all changes of a push to a base, or none.
+    /// Stores all these changes of a base, or none. The transaction takes the turn of the writer,
+    /// so a long push is stored in several.
     ///
     /// # Errors
     /// The database fails. Nothing may then be considered stored.
@@ -456,7 +457,8 @@ impl Store {
         }
     }
 
-    /// Deletes a base and its epochs, unless an open session uses it. Returns whether it did.
+    /// Deletes a base, unless an open session uses it. Returns whether it did.
+    /// [`Self::remove_epochs_of_deleted_bases`] frees its space.
     ///
     /// # Errors
     /// The database fails.
@@ -473,8 +475,6 @@ impl Store {
                 let rows = delete.execute(&mut *transaction).await?.rows_affected();
                 if rows == 1 {
                     sqlx::query(DELETE_FEED).bind(base.0).execute(&mut *transaction).await?;
-                    let forget = sqlx::query(FORGET).bind(base.0).bind(i64::MAX);
-                    forget.execute(&mut *transaction).await?;
                     note!(self, transaction, entry);
                     notify!(self, transaction, Change::Bases);
                 }

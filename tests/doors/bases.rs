@@ -16,6 +16,7 @@ use graphfix::store::StoredSolution;
 use crate::support::database::{Database, on_both_databases, whole_session};
 use crate::support::doors::Doors;
 use crate::support::pair::PAIR;
+use crate::support::sessions::epoch;
 use crate::support::wait::until;
 
 on_both_databases!(
@@ -24,6 +25,8 @@ on_both_databases!(
     without_its_base_a_session_says_why,
     a_base_in_the_wrong_place_is_refused_or_doubted,
     a_bases_epochs_keep_their_order,
+    a_long_push_is_stored_in_steps,
+    the_epochs_of_a_deleted_base_are_removed_in_the_background,
     what_a_base_holds_is_bounded,
     a_base_in_use_stays,
     a_session_may_change_its_base,
@@ -471,4 +474,51 @@ async fn a_base_is_created_although_the_caller_has_gone() {
     until("created", list, |count| *count == Some(1)).await;
     let (_, is_new) = calls::bases::create(&caller, request()).await.unwrap();
     assert!(!is_new);
+}
+
+/// Epochs of 20 minutes.
+fn long_push() -> Vec<Epoch> {
+    (1..=1_200).map(|seq| epoch(seq, seq as f64).epoch).collect()
+}
+
+/// The database fails at epoch 700: what is stored before is visible, and the same push goes on
+/// behind it.
+async fn a_long_push_is_stored_in_steps(database: Database) {
+    let desk = desk(&database).await;
+    let base = desk.base().await;
+    let (fail, works) = match database.url.starts_with("sqlite") {
+        true => (
+            "CREATE TRIGGER fails BEFORE INSERT ON base_epochs WHEN NEW.number = 700 \
+             BEGIN SELECT RAISE(ABORT, 'on purpose'); END",
+            "DROP TRIGGER fails",
+        ),
+        false => (
+            "ALTER TABLE base_epochs ADD CONSTRAINT fails CHECK (number <> 700)",
+            "ALTER TABLE base_epochs DROP CONSTRAINT fails",
+        ),
+    };
+    database.execute(fail).await;
+    let error = desk.aiding.bases.push(&base, long_push()).await.unwrap_err();
+    assert_eq!(error.code().name(), "DATABASE_FAILED", "{error}");
+    let kept = async || desk.aiding.bases.get(&base).await.unwrap().epochs;
+    assert_eq!((kept().await, database.count("base_epochs").await), (500, 500));
+    database.execute(works).await;
+    let push = desk.aiding.bases.push(&base, long_push()).await.unwrap();
+    let outcomes: Vec<_> = push.outcomes.into_iter().map(Result::unwrap).collect();
+    assert_eq!(outcomes.iter().filter(|epoch| epoch.resent).count(), 500);
+    assert!((1..).zip(&outcomes).all(|(number, epoch)| epoch.number == number));
+    assert_eq!((kept().await, database.count("base_epochs").await), (1_200, 1_200));
+}
+
+/// The deletion itself is short, however many epochs the base has.
+async fn the_epochs_of_a_deleted_base_are_removed_in_the_background(database: Database) {
+    let store = database.store().await;
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let base = id_of(&aiding.bases.create(PAIR.new_base(0.0)).await.unwrap());
+    aiding.bases.push(&base, long_push()).await.unwrap();
+    aiding.bases.delete(&base).await.unwrap();
+    assert_eq!(database.count("base_epochs").await, 1_200);
+    let _sessions = Sessions::open(store, aiding, SessionLimits::service());
+    let left = async || database.count("base_epochs").await;
+    until("removed", left, |count| *count == 0).await;
 }

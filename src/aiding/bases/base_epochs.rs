@@ -41,7 +41,7 @@ pub(super) struct BaseEpochs {
     pub(super) satellites: usize,
     /// When the newest epoch was stored (ms since 1970-01-01 UTC).
     pub(super) stored_unix_ms: Option<i64>,
-    /// A commit failed, so the store may differ and must be read again.
+    /// A commit has begun and was not confirmed, so the store may differ and must be read again.
     pub(super) outdated: bool,
 }
 

@@ -14,6 +14,10 @@ use super::broker::BaseBroker;
 use super::check::PositionChecks;
 use super::{BaseEpochRefusal, BaseId, BasePush};
 
+/// New epochs that are committed in one transaction, so that commits of sessions wait for few
+/// milliseconds.
+const EPOCHS_PER_STEP: usize = 500;
+
 /// An epoch of a push, without its number, or why it is refused.
 type PushedEpoch = Result<StoredBaseEpoch, BaseEpochRefusal>;
 
@@ -51,7 +55,8 @@ impl BaseBroker {
     ///
     /// # Errors
     /// No base has this id, its position is unknown or contradicts its observations, the epochs
-    /// exceed what a base may have, or the store fails. Nothing of the push is then kept.
+    /// exceed what a base may have, or the store fails. Nothing of the push is then kept; if the
+    /// store fails, the first of its epochs may be, and the same push adds the others.
     pub async fn push(&self, id: &BaseId, epochs: Vec<Epoch>) -> Result<BasePush, AidingError> {
         let limit = self.limits.observations_per_epoch;
         let encoded = |mut epoch: Epoch| {
@@ -120,45 +125,61 @@ impl BaseBroker {
             return Err(AidingError::BasePositionRefused { distance_m, epochs: check.epochs });
         }
         let limits = (self.limits.epochs_per_base, self.limits.bytes_per_base);
-        let first_kept = base.stored().first_kept(&new, limits.0, limits.1);
-        let first_kept = first_kept.ok_or(AidingError::BaseTooLarge {
-            epochs: new.len(),
-            epochs_max: limits.0,
-            bytes: new.iter().map(StoredBaseEpoch::size).sum(),
-            bytes_max: limits.1,
-        })?;
-        self.commit(&base, new_site, new, first_kept).await?;
+        if base.stored().first_kept(&new, limits.0, limits.1).is_none() {
+            return Err(AidingError::BaseTooLarge {
+                epochs: new.len(),
+                epochs_max: limits.0,
+                bytes: new.iter().map(StoredBaseEpoch::size).sum(),
+                bytes_max: limits.1,
+            });
+        }
+        self.commit(&base, new_site, new).await?;
         base.stored().checks = checks;
         Ok(BasePush { outcomes, check })
     }
 
-    /// Commits the changes of a push, then makes them visible.
+    /// Commits the changes of a push in steps. Each step is visible when it is committed. The
+    /// epochs are in order of time, so after a failure the same push repeats those that are
+    /// stored, and adds the others.
     async fn commit(
         &self,
         base: &Base,
         site: Option<(u64, &BaseSite)>,
         epochs: Vec<StoredBaseEpoch>,
-        first_kept: u64,
     ) -> Result<(), AidingError> {
-        if site.is_none() && epochs.is_empty() {
-            return Ok(());
+        let (mut site, mut rest) = (site, epochs);
+        while site.is_some() || !rest.is_empty() {
+            let later = rest.split_off(rest.len().min(EPOCHS_PER_STEP));
+            self.commit_step(base, site.take(), rest).await?;
+            rest = later;
         }
+        Ok(())
+    }
+
+    async fn commit_step(
+        &self,
+        base: &Base,
+        site: Option<(u64, &BaseSite)>,
+        epochs: Vec<StoredBaseEpoch>,
+    ) -> Result<(), AidingError> {
         let stored_unix_ms = unix_ms();
+        let (epochs_max, bytes_max) = (self.limits.epochs_per_base, self.limits.bytes_per_base);
+        let first_kept = base.stored().first_kept(&epochs, epochs_max, bytes_max);
+        let first_kept = first_kept.expect("a part of a push is not larger than the push");
         let change = BaseChange { site, epochs: &epochs, first_kept, stored_unix_ms };
-        if let Err(error) = self.store.push_base(base.name().key, &change).await {
-            // If the connection broke during the commit, its outcome is unknown.
-            base.stored().outdated = true;
-            return Err(error.into());
-        }
+        // If the connection breaks or the caller leaves during the commit, its outcome is unknown.
+        base.stored().outdated = true;
+        self.store.push_base(base.name().key, &change).await?;
         let mut stored = base.stored();
         if let Some((since, site)) = site {
             stored.add_site(since, site.clone());
         }
         stored.add(epochs, first_kept, stored_unix_ms);
+        stored.outdated = false;
         Ok(())
     }
 
-    /// Loads a base again from the store, if a failed commit left its stored state unknown.
+    /// Loads a base again from the store, if a commit has left its stored state unknown.
     async fn refresh(&self, base: &Base) -> Result<(), AidingError> {
         if !base.stored().outdated {
             return Ok(());
