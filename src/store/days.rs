@@ -16,7 +16,7 @@ use std::time::Duration;
 use sqlx::{Connection, PgConnection, PgPool};
 use tokio::time::sleep;
 
-use super::deadline::{BULK_DEADLINE, within};
+use super::deadline::{BULK_DEADLINE, DEADLINE, within};
 use super::pool::Pool;
 use super::{Store, StoreError};
 
@@ -183,19 +183,38 @@ impl Store {
         is_due: bool,
     ) -> Result<(), sqlx::Error> {
         let mut connection = pool.acquire().await?;
-        let partition = partition(table, &date(&mut connection, day).await?);
-        if is_due {
-            move_kept(&mut connection, table, &partition).await?;
+        let dropping = async {
+            let date = within(DEADLINE, date(&mut connection, day)).await?;
+            let partition = partition(table, &date);
+            if is_due {
+                move_kept(&mut connection, table, &partition).await?;
+            }
+            let is_kept = !kept_sessions(&mut connection, &partition, 1).await?.is_empty();
+            if !is_kept && self.drop_partition(&mut connection, &partition).await? {
+                tracing::info!(partition, "a day of the log is dropped");
+            }
+            Ok(())
+        };
+        let dropped = dropping.await;
+        if dropped.is_err() {
+            // Perhaps it is within a transaction, and the server does not answer any more. A closed
+            // connection releases its locks.
+            drop(connection.detach());
         }
-        let is_kept = !kept_sessions(&mut connection, &partition, 1).await?.is_empty();
-        if !is_kept && self.drop_partition(&mut connection, &partition).await? {
-            tracing::info!(partition, "a day of the log is dropped");
-        }
-        Ok(())
+        dropped
     }
 
-    /// Drops a partition; `false` if it is in use, or if it has received rows that are kept.
+    /// Drops a partition; `false` if it is in use, or if it has received rows that are kept. After
+    /// an error the connection must be dropped.
     async fn drop_partition(
+        &self,
+        connection: &mut PgConnection,
+        partition: &str,
+    ) -> Result<bool, sqlx::Error> {
+        within(BULK_DEADLINE, self.drop_partition_whole(connection, partition)).await
+    }
+
+    async fn drop_partition_whole(
         &self,
         connection: &mut PgConnection,
         partition: &str,
@@ -211,7 +230,7 @@ impl Store {
             }
             self.days.forget(); // The committer makes it again, if it should need it.
             let drop = format!("DROP TABLE {partition}");
-            within(BULK_DEADLINE, sqlx::query(&drop).execute(&mut *transaction)).await.map(|_| true)
+            sqlx::query(&drop).execute(&mut *transaction).await.map(|_| true)
         };
         match dropping.await {
             Ok(true) => {

@@ -4,8 +4,10 @@ use std::time::{Duration, Instant};
 
 use graphfix::aiding::bases::NewBase;
 use graphfix::aiding::{AidingDesk, AidingLimits};
-use graphfix::session::{SessionId, SessionUpdate, Sessions};
+use graphfix::clock::Clock;
+use graphfix::session::{SessionId, SessionLimits, SessionUpdate, Sessions};
 use graphfix::store::{CommitterState, Store};
+use tokio::time::timeout;
 
 use crate::support::database::{on_postgres, whole_session};
 use crate::support::proxy::{Mode, Proxy};
@@ -17,6 +19,8 @@ use crate::support::wait::until;
 /// After a deadline of 5 s.
 const REFUSED_WITHIN: Duration = Duration::from_secs(7);
 const SERVED_WITHIN: Duration = Duration::from_secs(5);
+/// After a deadline of 30 s.
+const DROPPED_WITHIN: Duration = Duration::from_secs(40);
 
 /// A session with one epoch on a server behind a proxy.
 struct Service {
@@ -159,6 +163,38 @@ async fn a_base_whose_commit_is_cut_off_is_known() {
         }
         aiding.bases.create(NewBase::default()).await.unwrap();
         assert_eq!(aiding.bases.list().await.len(), 2);
+    })
+    .await;
+}
+
+/// The server freezes while a day of the log is dropped. The removal ends, its connection is closed,
+/// and the next removal drops the day.
+#[tokio::test]
+async fn a_drop_of_a_day_does_not_wait_for_ever() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let store = Store::open(&proxy.url(&database.url)).await.unwrap();
+        let clock = Clock::at(1_767_268_800_000); // 2026-01-01 12:00 UTC.
+        let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+        let limits = SessionLimits { retention_days: 1, ..SessionLimits::service() };
+        let sessions = Sessions::open_at(store, aiding, limits, clock.clone());
+        let id = created(&sessions).await;
+        for day in 0..8 {
+            clock.set(clock.unix_ms() + 86_400_000);
+            sessions.submit(&id, vec![epoch(day + 1, day as f64)]).await.unwrap();
+        }
+        let days = "(SELECT 1 FROM pg_inherits WHERE inhparent = 'epochs'::regclass) AS days";
+        let before = database.count(days).await;
+        proxy.set(Mode::FrozenAtLock);
+        let removal = timeout(DROPPED_WITHIN, sessions.remove_expired()).await;
+        removal.expect("it waits for ever").unwrap_err();
+        assert_eq!(proxy.mode(), Mode::Frozen, "no day was dropped");
+        proxy.set(Mode::Pass);
+        let remove = async || {
+            sessions.remove_expired().await.ok();
+            database.count(days).await
+        };
+        until("dropped", remove, |count| *count < before).await;
     })
     .await;
 }

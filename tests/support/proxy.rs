@@ -15,6 +15,8 @@ pub(crate) enum Mode {
     Pass,
     /// Forwards nothing, and keeps all connections open.
     Frozen,
+    /// Like [`Self::Frozen`], from the next lock of a table on.
+    FrozenAtLock,
     /// Closes all connections, and accepts no other.
     Refuse,
     /// Closes the connection that commits next before the server receives `COMMIT`.
@@ -90,14 +92,18 @@ async fn forward(mut client: TcpStream, server: SocketAddr, mode: watch::Sender<
             read = client.read(&mut sent) => {
                 let Ok(length @ 1..) = read else { return };
                 let now = thawed(&mut modes).await;
-                let commits = sent[..length].windows(7).any(|bytes| bytes == b"COMMIT\0");
+                let has = |text: &[u8]| sent[..length].windows(text.len()).any(|part| part == text);
+                if now == Mode::FrozenAtLock && has(b"LOCK TABLE") {
+                    mode.send_replace(Mode::Frozen);
+                    thawed(&mut modes).await;
+                }
+                let commits = has(b"COMMIT\0");
                 let cuts = match now {
                     Mode::CutBeforeCommit | Mode::CutAfterCommit => commits,
                     Mode::CutAfterEndOfJob => ends_job,
-                    Mode::Pass | Mode::Frozen | Mode::Refuse => false,
+                    Mode::Pass | Mode::Frozen | Mode::FrozenAtLock | Mode::Refuse => false,
                 };
-                ends_job =
-                    sent[..length].windows(END_OF_JOB.len()).any(|bytes| bytes == END_OF_JOB);
+                ends_job = has(END_OF_JOB);
                 if cuts {
                     mode.send_replace(Mode::Pass);
                 }
