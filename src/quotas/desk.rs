@@ -50,8 +50,6 @@ pub struct TenantInfo {
     pub tenant: Tenant,
     /// When its first key was made, or its quotas were set (ms since 1970-01-01 UTC).
     pub created_unix_ms: i64,
-    /// Number of the last change of its quotas; 0 if they were never set.
-    pub changed: i64,
     /// Its quotas.
     pub quotas: Quotas,
     /// Its recent use.
@@ -114,20 +112,19 @@ impl TenantQuotas {
     }
 
     /// Sets the quotas of a tenant, in force at once, as an act of `author`. The tenant exists from
-    /// then on. `changed` is the number of its last change that the caller has read; `None` for
-    /// any.
+    /// then on. `etag` is that of the quotas that the caller has read; `None` for any.
     ///
     /// # Errors
-    /// The tenant has been changed since, or the store fails.
+    /// The tenant has other quotas now, or the store fails.
     pub async fn set(
         &self,
         tenant: &Tenant,
         quotas: &Quotas,
-        changed: Option<i64>,
+        etag: Option<&str>,
         author: &Author,
     ) -> Result<TenantInfo, QuotaError> {
         let Desk { store, clock, meters, .. } = &*self.0;
-        if !store.set_quotas(tenant, quotas, clock.unix_ms(), changed, author).await? {
+        if !store.set_quotas(tenant, quotas, clock.unix_ms(), etag, author).await? {
             return Err(QuotaError::Changed { name: tenant.to_string() });
         }
         meters.refresh(store).await?;
@@ -157,11 +154,11 @@ impl TenantQuotas {
     }
 
     async fn info(&self, row: TenantRow) -> TenantInfo {
-        let TenantRow { tenant, created_unix_ms, quotas, changed } = row;
+        let TenantRow { tenant, created_unix_ms, quotas, .. } = row;
         let stored = self.stored(&tenant).await;
         let stored = stored.inspect_err(|error| uncounted(&tenant, error)).ok();
         let rates = self.0.meters.of(&tenant).rates();
-        TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored }
+        TenantInfo { tenant, created_unix_ms, quotas, rates, stored }
     }
 
     async fn stored(&self, tenant: &Tenant) -> Result<StoredAmounts, StoreError> {

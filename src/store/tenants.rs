@@ -78,7 +78,7 @@ macro_rules! select_tenants {
 
 impl Store {
     /// Sets the quotas of a tenant, as an act of `author`. The tenant exists from then on. With
-    /// `expected`, returns `false` if the tenant's last change has another number.
+    /// `expected`, returns `false` if the tenant's quotas have another etag.
     ///
     /// # Errors
     /// The database fails.
@@ -87,7 +87,7 @@ impl Store {
         tenant: &Tenant,
         quotas: &Quotas,
         unix_ms: i64,
-        expected: Option<i64>,
+        expected: Option<&str>,
         author: &Author,
     ) -> Result<bool, StoreError> {
         let set = writing!(&self.pool, pool => {
@@ -99,8 +99,8 @@ impl Store {
                 let present: Option<RawTenant> =
                     present.bind(tenant.name()).fetch_optional(&mut *transaction).await?;
                 let present = present.map(RawTenant::parse);
-                let changed = present.as_ref().map(|row| row.changed);
-                if expected.is_some() && changed != expected {
+                let etag = present.as_ref().map(|row| row.quotas.etag());
+                if expected.is_some() && etag.as_deref() != expected {
                     return Ok(false);
                 }
                 if present.as_ref().is_some_and(|row| row.quotas == *quotas) {

@@ -15,6 +15,8 @@ use std::sync::Arc;
 pub const OPERATOR: &str = "default";
 /// Longest name (characters).
 const NAME_MAX: usize = 63;
+/// Hexadecimal digits of an etag.
+const ETAG_DIGITS: usize = 16;
 
 /// A tenant, by its name. Clones share the text.
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -71,6 +73,14 @@ impl Quotas {
     /// Whether there is a quota that is counted in the store: of sessions or of their bytes.
     pub(crate) const fn is_of_stored(&self) -> bool {
         self.sessions.is_some() || self.stored_bytes.is_some()
+    }
+
+    /// The etag of the quotas. Other quotas have another etag.
+    pub(crate) fn etag(&self) -> String {
+        let Self { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = self;
+        let rates = [epochs_per_s, cpu_s_per_minute].map(|rate| rate.map(f64::to_bits));
+        let text = format!("{:?}", (sessions, rates, stored_bytes, job_bytes));
+        blake3::hash(text.as_bytes()).to_hex()[..ETAG_DIGITS].to_owned()
     }
 
     /// The changed quotas as text for people: each with its value before and now.

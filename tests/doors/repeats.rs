@@ -185,6 +185,11 @@ async fn a_change_of_changed_settings_is_refused(database: Database) {
     assert_eq!(status, StatusCode::OK, "{set}");
     let (status, _, refused) = sent(&doors, tenant, ("if-match", &etag), quotas(8)).await;
     assert_eq!((status, code(&refused)), expected);
-    assert_eq!(doors.get(tenant.1).await.1["quotas"]["sessions"], 7);
+    let read = doors.get(tenant.1).await.1;
+    assert_eq!(read["quotas"]["sessions"], 7);
+    // It depends on the tenant's own quotas only, and reveals nothing of the changes of others.
+    let (_, _, other) =
+        sent(&doors, ("PUT", "/v1/tenants/other"), ("accept", "*/*"), quotas(7)).await;
+    assert_eq!(other["etag"], read["etag"]);
     doors.close().await;
 }

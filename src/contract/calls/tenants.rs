@@ -73,22 +73,10 @@ async fn done(caller: &Caller, request: v1::SetTenantRequest) -> Result<v1::Tena
     caller.check_operator()?;
     let tenant = super::keys::tenant(caller, &request.tenant)?;
     let quotas = quotas(request.quotas.unwrap_or_default())?;
-    let changed = changed(&request.etag)?;
-    let info = caller.quotas().set(&tenant, &quotas, changed, &caller.author()).await?;
+    let etag = Some(&*request.etag).filter(|etag| !etag.is_empty());
+    let info = caller.quotas().set(&tenant, &quotas, etag, &caller.author()).await?;
     tracing::info!(%tenant, ?quotas, by = caller.key(), "the quotas of a tenant are set");
     Ok(message(info))
-}
-
-/// The number of the last change in an etag; `None` for an empty etag, which accepts any.
-fn changed(etag: &str) -> Result<Option<i64>, Refusal> {
-    if etag.is_empty() {
-        return Ok(None);
-    }
-    let number = etag.parse().map_err(|_| {
-        let message = format!("{:?} is not the etag of a tenant", texts::brief(etag));
-        Refusal::new(Code::EtagMismatch, message).at("etag")
-    });
-    number.map(Some)
 }
 
 /// Reads and checks quotas.
@@ -117,7 +105,8 @@ fn quotas(message: v1::TenantQuotas) -> Result<Quotas, Refusal> {
 const MOST: f64 = 9e15;
 
 fn message(info: TenantInfo) -> v1::Tenant {
-    let TenantInfo { tenant, created_unix_ms, changed, quotas, rates, stored } = info;
+    let TenantInfo { tenant, created_unix_ms, quotas, rates, stored } = info;
+    let etag = quotas.etag();
     let Quotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes } = quotas;
     let quotas =
         v1::TenantQuotas { sessions, epochs_per_s, cpu_s_per_minute, stored_bytes, job_bytes };
@@ -132,7 +121,7 @@ fn message(info: TenantInfo) -> v1::Tenant {
             stored_bytes: stored.of_sessions.stored_bytes,
             job_bytes: stored.job_bytes,
         }),
-        etag: changed.to_string(),
+        etag,
         create_time: timestamp(created_unix_ms),
     }
 }
