@@ -1,6 +1,6 @@
 //! Sign-ins of browsers, as the REST door shows them. gRPC has none.
 
-use crate::keys::SignIn;
+use crate::keys::{KeyError, SignIn};
 
 use super::calls::utc;
 use super::{Lease, Refusal, Service};
@@ -20,11 +20,18 @@ pub(crate) struct SignedIn {
 
 impl Service {
     /// Signs in the browser that has sent this request with a key. Also returns the value of its
-    /// cookie. `None` if no key is needed.
+    /// cookie. `None` if no key is needed. `has_key` is `false` for a request with a cookie only:
+    /// who has a cookie, perhaps a stolen one, must not make another sign-in with it.
     ///
     /// # Errors
-    /// The system has no random bits, or the store fails.
-    pub(crate) async fn sign_in(&self) -> Result<Option<(String, SignedIn)>, Refusal> {
+    /// The request has no key, the system has no random bits, or the store fails.
+    pub(crate) async fn sign_in(
+        &self,
+        has_key: bool,
+    ) -> Result<Option<(String, SignedIn)>, Refusal> {
+        if self.keys().are_needed() && !has_key {
+            return Err(KeyError::Required.into());
+        }
         let lease = Lease::current();
         let pass = lease.as_ref().and_then(Lease::pass).filter(|pass| pass.key().is_some());
         let Some(pass) = pass else { return Ok(None) };

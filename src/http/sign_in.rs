@@ -77,7 +77,8 @@ pub(super) async fn create(
     headers: HeaderMap,
     peer: Option<Extension<Peer>>,
 ) -> Result<(StatusCode, Location, SetCookie, Json<SignInState>), Refused> {
-    let (cookie, signed_in) = service.sign_in().await?.unzip();
+    let has_key = headers.contains_key(header::AUTHORIZATION);
+    let (cookie, signed_in) = service.sign_in(has_key).await?.unzip();
     let set = set_cookie(has_tls(&headers, peer.as_deref()), cookie.as_deref());
     let place = [(header::LOCATION, PATH.to_owned())];
     Ok((StatusCode::CREATED, place, set, Json(state(&service, signed_in))))

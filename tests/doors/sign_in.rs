@@ -81,6 +81,10 @@ async fn a_browser_signs_in_and_out() {
         }
     }
     let with_token = [signed, ("x-graphfix-csrf", token)];
+    // A stolen cookie must not outlive its sign-in.
+    let (status, headers, refused) = answered(&doors, "POST", "/v1/sign-in", &with_token).await;
+    assert_eq!((status.as_u16(), code(&refused)), (401, "KEY_REQUIRED"));
+    assert!(!headers.contains_key("set-cookie"));
     let (status, _, missing) = answered(&doors, "DELETE", "/v1/sessions/ses_0", &with_token).await;
     assert_eq!((status.as_u16(), code(&missing)), (404, "SESSION_NOT_FOUND"));
     let (status, headers, ended) = answered(&doors, "DELETE", "/v1/sign-in", &with_token).await;
