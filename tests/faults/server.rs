@@ -167,7 +167,7 @@ async fn a_base_whose_commit_is_cut_off_is_known() {
     .await;
 }
 
-/// The server freezes while a day of the log is dropped. The removal ends, its connection is closed,
+/// The server freezes while a day of the log is dropped. The removal ends, its connection closes,
 /// and the next removal drops the day.
 #[tokio::test]
 async fn a_drop_of_a_day_does_not_wait_for_ever() {

@@ -131,8 +131,8 @@ mod tests {
         assert!(!at_rest(Vector3::new(0.0, -0.2, 0.0), 0.05, 0.0));
     }
 
-    /// The standstill of a receiver with a Doppler noise of 0.05 m/s is found where all epochs of two
-    /// seconds pass: 0.95³ of the time at 1 Hz and 0.95^2.05 at 20 Hz.
+    /// The standstill of a receiver with a Doppler noise of 0.05 m/s is found where all epochs of
+    /// two seconds pass: 0.95³ of the time at 1 Hz and 0.95^2.05 at 20 Hz.
     #[test]
     fn rest_is_found_as_often_at_any_rate() {
         let found = |rate_hz: u32| {

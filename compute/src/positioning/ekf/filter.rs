@@ -278,7 +278,7 @@ impl FilterScratch {
         biases_m.copy_from_slice(gaussian.biases_m());
         let begins = |index, mean_m| gaussian.renew(BIAS + index, mean_m, BIAS_M);
         let seen = SeenRanges { ranges, lines, state: &state };
-        // Where the reference begins late, its own rows move the clock: its variance is still large.
+        // Where the reference begins late, its rows move the clock: its variance is still large.
         let change = seen.settle_clock(&mut biases_m, begun, numbers, begins);
         let miss_m = change.clock_m.unwrap_or(0.0);
         let jump_m = interval_s.filter(|_| graph.motion).and_then(|s| jump_m(miss_m, s));

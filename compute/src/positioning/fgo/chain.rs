@@ -357,8 +357,7 @@ impl Chain {
     }
 
     /// Sets the clock of `guess` and the biases that begin; returns the measured minus the
-    /// predicted clock (m), if a pseudorange measures it. If the reference constellation begins
-    /// after others, all clocks of the window become its clock.
+    /// predicted clock (m), if it is measured. A late reference makes all clocks its own.
     fn settle_clock(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
         let ChainScratch { factors, numbers, lines, .. } = scratch;
         factors.see(guess, lines);

@@ -95,8 +95,8 @@ impl Watch {
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
-    /// Lets an epoch of `time` leave the window at `now`. `residuals` is called if they are kept for
-    /// the pool.
+    /// Lets an epoch of `time` leave the window at `now`. `residuals` is called if they are kept
+    /// for the pool.
     pub(crate) fn let_leave(
         &mut self,
         now: GpsTime,

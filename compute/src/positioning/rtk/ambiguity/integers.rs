@@ -17,9 +17,9 @@ use super::acceptance::{lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
 use super::fixed_position::{FixedPosition, KnownPosition, fixed_position};
 use super::float::FloatSolution;
+use super::held_integers::HeldIntegers;
 use super::hold::{FOUND_EPOCHS, Found, HoldState, NEARLY_CERTAIN};
 use super::joint::{Joint, bonferroni, condition, given_unfixed_ambiguities, scale_odds};
-use super::separation::HeldIntegers;
 
 /// Number of ambiguities for which storage is reserved at first.
 const CAPACITY: usize = 64;

@@ -6,6 +6,7 @@ mod confirmation;
 mod differences;
 mod fixed_position;
 mod float;
+mod held_integers;
 mod hold;
 mod integer_history;
 mod integers;

@@ -1,73 +1,15 @@
 //! The search for the held integers without one satellite, for their confirmation.
 
-use nalgebra::DMatrix;
-
 use crate::gnss::SatelliteId;
-use crate::lambda::{Options, Separated as Found, Separation};
 use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
 use super::acceptance::lambda_options;
 use super::confirmation::Separated;
-use super::differences::DoubleDifference;
 use super::integers::{IntegerQuestion, IntegerSearch, may_be_integer};
-use super::joint::Joint;
 
 /// Upper bound of a log ratio of evidence, so that sums stay finite: such a model outweighs all
 /// others.
 const LOG_EVIDENCE_MOST: f64 = 100.0;
-
-/// Held integers of an epoch, decorrelated, with the search among all of them. Its memory is used
-/// again.
-#[derive(Debug)]
-pub(super) struct HeldIntegers {
-    separation: Separation,
-    /// Arc, reference and integer of each entry; empty while nothing is decorrelated.
-    entries: Vec<(usize, usize, Option<i64>)>,
-    of_all: Found,
-}
-
-impl HeldIntegers {
-    /// Room for `size` integers; it grows for more.
-    pub(super) fn with_capacity(size: usize) -> Self {
-        let of_all = Found { probability: 0.0, odds: 0.0, log_evidence: 0.0 };
-        let separation = Separation::with_capacity(size);
-        Self { separation, entries: Vec::with_capacity(size), of_all }
-    }
-
-    /// Forgets the integers: they are of another epoch.
-    pub(super) fn forget(&mut self) {
-        self.entries.clear();
-    }
-
-    /// Whether these are the integers of `pairs`.
-    fn are_of<'a>(&self, pairs: impl Iterator<Item = &'a DoubleDifference>) -> bool {
-        !self.entries.is_empty() && pairs.map(entry).eq(self.entries.iter().copied())
-    }
-
-    /// Decorrelates the integers of the pairs `held`, whose ambiguities are those of `joint`, and
-    /// searches among all of them. `None` where the search fails.
-    pub(super) fn load(
-        &mut self,
-        pairs: &[DoubleDifference],
-        held: &[usize],
-        joint: &Joint,
-        options: &Options,
-    ) -> Option<Found> {
-        self.forget();
-        let off = held.iter().map(|&i| Some(joint.estimate[3 + i] - pairs[i].known? as f64));
-        let off: Vec<f64> = off.collect::<Option<_>>()?;
-        let between = |i: usize, j: usize| joint.covariance[(3 + held[i], 3 + held[j])];
-        let covariance = DMatrix::from_fn(held.len(), held.len(), between);
-        self.separation.load(off.into_iter(), &covariance).ok()?;
-        self.of_all = self.separation.with_all(options)?;
-        self.entries.extend(held.iter().map(|&i| entry(&pairs[i])));
-        Some(self.of_all)
-    }
-}
-
-fn entry(pair: &DoubleDifference) -> (usize, usize, Option<i64>) {
-    (pair.arc, pair.reference, pair.known)
-}
 
 /// Searches for the held integers of an epoch without one satellite, after one decorrelation.
 pub(crate) struct Separator<'a> {
@@ -118,8 +60,8 @@ impl Separator<'_> {
             |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
         let lambda = lambda_options(options, noise.scale);
         let held = &mut self.search.held;
-        let found = held.separation.without(entries.chain(groups.map(of)), &lambda)?;
-        let log_evidence = found.log_evidence - held.of_all.log_evidence;
+        let found = held.without(entries.chain(groups.map(of)), &lambda)?;
+        let log_evidence = found.log_evidence - held.log_evidence();
         let evidence = log_evidence.min(LOG_EVIDENCE_MOST).exp();
         Some(Separated { probability: found.probability, evidence })
     }

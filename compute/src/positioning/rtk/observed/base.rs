@@ -67,8 +67,8 @@ impl BaseMemory {
     }
 
     /// Checks the stated position against the single-point positions of the base. The newest epoch
-    /// enters their mean once, until the mean has enough epochs. If it then refuses the position, the
-    /// next epoch begins another mean, since one wild epoch must not refuse a base for ever. A
+    /// enters their mean once, until the mean has enough epochs. If it then refuses the position,
+    /// the next epoch begins another mean, since one wild epoch must not refuse a base for ever. A
     /// single point whose residuals are too large is left out.
     pub(crate) fn checked(
         &mut self,
