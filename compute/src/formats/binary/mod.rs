@@ -9,7 +9,7 @@ mod refusal;
 pub(in crate::formats) use bits::Bits;
 pub(in crate::formats) use clock::Clock;
 pub use clock::TimeReference;
-pub(in crate::formats) use crc::crc24q;
+pub(in crate::formats) use crc::{CRC24Q_SHIFT_LIMIT, crc24q, crc24q_after, crc24q_shifted};
 pub use refusal::Refusal;
 
 use crate::gnss::{KlobucharCoefficients, Navigation, NeQuickCoefficients};

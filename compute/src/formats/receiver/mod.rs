@@ -11,6 +11,7 @@
 //! rover's log they are those of its base.
 
 mod assembly;
+mod checksums;
 mod frames;
 mod reader;
 mod statistics;
