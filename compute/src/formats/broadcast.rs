@@ -1,8 +1,8 @@
 //! Units and indices of broadcast messages, common to all formats.
 
 use crate::gnss::{
-    Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NO_PREDICTION_M, NavigationMessage,
-    SatelliteId, wrap_half_week,
+    Constellation, Ephemeris, GpsTime, GroupDelays, KeplerianEphemeris, NO_PREDICTION_M,
+    NavigationMessage, SatelliteId, wrap_half_week,
 };
 
 /// A semicircle (rad), with the value of π that the messages use; IS-GPS-200N, 20.3.3.4.3.3;
@@ -92,6 +92,15 @@ pub(super) fn legacy_delay(tgd_s: f64) -> GroupDelays {
     }
 }
 
+/// Group delay T_GD of a legacy message of GPS or QZSS, from the eight bits as they are sent.
+///
+/// QZSS sends −128 for a delay that is not available. It becomes zero, as in RTKLIB 2.4.3
+/// (`decode_subfrm1`), and as a blank field of RINEX does.
+pub(super) fn sent_legacy_delay(constellation: Constellation, sent: i64) -> GroupDelays {
+    let is_absent = constellation == Constellation::Qzss && sent == -128;
+    legacy_delay(if is_absent { 0.0 } else { sent as f64 * per_power(31) })
+}
+
 /// An ephemeris whose elements are zero, to be filled in.
 pub(super) fn blank(
     satellite: SatelliteId,
@@ -146,6 +155,19 @@ mod tests {
         assert!((sisa_m(107) - 3.12).abs() < 1e-12);
         let none = NO_PREDICTION_M;
         assert_eq!((sisa_m(50), sisa_m(126), sisa_m(255)), (0.5, none, none));
+    }
+
+    #[test]
+    fn a_delay_that_qzss_does_not_state_is_zero() {
+        let tgd_s = |constellation, sent| match sent_legacy_delay(constellation, sent) {
+            GroupDelays::Gps { tgd_s, .. } => tgd_s,
+            other => panic!("{other:?}"),
+        };
+        let (gps, qzss) = (Constellation::Gps, Constellation::Qzss);
+        assert_eq!(tgd_s(qzss, -128), 0.0);
+        assert_eq!(tgd_s(qzss, -127), -127.0 / 2_147_483_648.0);
+        // GPS has no such value: −59.6 ns.
+        assert_eq!(tgd_s(gps, -128), -128.0 / 2_147_483_648.0);
     }
 
     #[test]

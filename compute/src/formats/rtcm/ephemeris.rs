@@ -5,8 +5,8 @@ use nalgebra::Vector3;
 
 use crate::formats::binary::{Bits, Clock, Refusal};
 use crate::formats::broadcast::{
-    GLONASS_ACCURACY_M, GLONASS_UNITS, SEMICIRCLE_RAD, blank, is_plausible, legacy_delay,
-    legacy_ura_m, per_power, sisa_m,
+    GLONASS_ACCURACY_M, GLONASS_UNITS, SEMICIRCLE_RAD, blank, is_plausible, legacy_ura_m,
+    per_power, sent_legacy_delay, sisa_m,
 };
 use crate::gnss::constants::{
     BEIDOU_FIRST_WEEK, BEIDOU_LAG_S, GALILEO_FIRST_WEEK, SECONDS_PER_DAY, SECONDS_PER_WEEK,
@@ -76,7 +76,7 @@ fn gps(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusal
     let mut ephemeris =
         orbit_gps(bits, week, clock, blank(satellite, NavigationMessage::Lnav, toc));
     ephemeris.omega_dot_rad_s = bits.signed_scaled(24, per_power(43) * SEMICIRCLE_RAD);
-    let tgd_s = bits.signed_scaled(8, per_power(31));
+    let tgd = bits.signed(8);
     let health = bits.unsigned(6) as u32;
     bits.skip(1);
     let fits_long = bits.flag();
@@ -89,7 +89,7 @@ fn gps(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusal
         af0_s,
         iodc,
         health,
-        group_delays: legacy_delay(tgd_s),
+        group_delays: sent_legacy_delay(Constellation::Gps, tgd),
         fit_interval_h: (!fits_long).then_some(4.0),
         ..ephemeris
     })
@@ -114,7 +114,7 @@ fn qzss(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusa
     bits.skip(2 + 10);
     let accuracy_m = Some(legacy_ura_m(bits.unsigned(4)));
     let health = bits.unsigned(6) as u32;
-    let tgd_s = bits.signed_scaled(8, per_power(31));
+    let tgd = bits.signed(8);
     let iodc = bits.unsigned(10) as u32;
     let fits_long = bits.flag();
     Ok(KeplerianEphemeris {
@@ -125,7 +125,7 @@ fn qzss(bits: &mut Bits<'_>, clock: &Clock) -> Result<KeplerianEphemeris, Refusa
         af0_s,
         iodc,
         health,
-        group_delays: legacy_delay(tgd_s),
+        group_delays: sent_legacy_delay(Constellation::Qzss, tgd),
         fit_interval_h: (!fits_long).then_some(2.0),
         ..ephemeris
     })

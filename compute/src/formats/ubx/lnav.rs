@@ -5,7 +5,7 @@
 
 use crate::formats::binary::{Bits, Clock, Ionosphere, Refusal};
 use crate::formats::broadcast::{
-    SEMICIRCLE_RAD, blank, legacy_delay, legacy_ura_m, nearest_second, per_power,
+    SEMICIRCLE_RAD, blank, legacy_ura_m, nearest_second, per_power, sent_legacy_delay,
 };
 use crate::gnss::{
     Constellation, Ephemeris, GpsTime, KeplerianEphemeris, NavigationMessage, SatelliteId,
@@ -116,7 +116,7 @@ fn clock_part(
     let issue_high = bits.unsigned(2) as u32;
     // L2 P data flag and reserved bits up to word 7.
     bits.skip(24 + 24 + 24 + 16);
-    let tgd_s = bits.signed_scaled(8, per_power(31));
+    let tgd = bits.signed(8);
     let issue_low = bits.unsigned(8) as u32;
     let toc_s = bits.scaled(16, 16.0);
     let transmission_time = GpsTime::from_week_seconds(week, start(data));
@@ -129,7 +129,7 @@ fn clock_part(
         af2_per_s: bits.signed_scaled(8, per_power(55)),
         af1: bits.signed_scaled(16, per_power(43)),
         af0_s: bits.signed_scaled(22, per_power(31)),
-        group_delays: legacy_delay(tgd_s),
+        group_delays: sent_legacy_delay(satellite.constellation, tgd),
         ..blank(satellite, NavigationMessage::Lnav, toc)
     })
 }
