@@ -18,7 +18,9 @@ const BEIDOU_S: f64 = 2.0 * SECONDS_PER_HOUR;
 /// (CNAV 1.5 h), Galileo 4 h, BeiDou 2 h (one hour of validity, one of margin), GLONASS 30 min. The
 /// orbit must be one of an Earth satellite. *Closest*: by |time − toe|; among equals the later toe,
 /// then the later toc, then the later entry of the list. *Healthy*: the health bits of the
-/// message's own signals are zero. If they are not, an older healthy ephemeris is not used either.
+/// message's own signals are zero, and also those of the latest one that the satellite had sent at
+/// `time`, by its time of transmission. A valid one whose time of transmission is unknown counts as
+/// sent. If they are not zero, an older healthy ephemeris is not used either.
 /// *Message*: in the order LNAV, CNAV, CNAV-2; I/NAV, F/NAV; D1 or D2, B-CNAV1, 2, 3: the first is
 /// what every satellite of the system sends, and a later one is used only if the earlier ones have
 /// nothing valid and healthy, or no group delay of an observed signal.
@@ -47,7 +49,7 @@ pub(crate) fn closest_ephemerides(
     satellite: SatelliteId,
     time: GpsTime,
     beidou_s: f64,
-) -> impl Iterator<Item = &Ephemeris> {
+) -> impl Iterator<Item = &Ephemeris> + Clone {
     let reach_s = |ephemeris: &Ephemeris| match satellite.constellation {
         Constellation::BeiDou => beidou_s,
         _ => validity_s(ephemeris),
@@ -61,18 +63,43 @@ pub(crate) fn closest_ephemerides(
     let list = navigation.of(satellite);
     let first = list.partition_point(|e| e.toe() < time - longest_s);
     let mut closest: [Option<(f64, &Ephemeris)>; RANKS] = [None; RANKS];
+    // The health that the satellite had stated last, in the order of toe.
+    let mut was_healthy = [true; RANKS];
     for ephemeris in &list[first..] {
         let ahead = ephemeris.toe() - time;
         if longest_s < ahead {
             break;
         }
-        let (of_message, distance_s) = (&mut closest[preference(ephemeris)], ahead.abs());
+        if !is_orbit(ephemeris) {
+            continue;
+        }
+        let (rank, distance_s, reach_s) = (preference(ephemeris), ahead.abs(), reach_s(ephemeris));
+        let is_sent = match transmission_time(ephemeris) {
+            // Sent, and not expired: it may be the next one, which is not valid yet.
+            Some(sent) => sent <= time && -reach_s <= ahead,
+            None => distance_s <= reach_s,
+        };
+        if is_sent {
+            was_healthy[rank] = is_healthy(ephemeris);
+        }
+        let of_message = &mut closest[rank];
         let is_closer = of_message.is_none_or(|(least_s, _)| distance_s <= least_s);
-        if is_closer && distance_s <= reach_s(ephemeris) && is_orbit(ephemeris) {
+        if is_closer && distance_s <= reach_s {
             *of_message = Some((distance_s, ephemeris));
         }
     }
-    closest.into_iter().flatten().map(|(_, closest)| closest).filter(|closest| is_healthy(closest))
+    let closest = closest.into_iter().zip(was_healthy);
+    closest
+        .filter_map(|(closest, was_healthy)| closest.filter(|_| was_healthy))
+        .map(|(_, closest)| closest)
+        .filter(|closest| is_healthy(closest))
+}
+
+const fn transmission_time(ephemeris: &Ephemeris) -> Option<GpsTime> {
+    match ephemeris {
+        Ephemeris::Keplerian(e) => e.transmission_time,
+        Ephemeris::Glonass(e) => e.transmission_time,
+    }
 }
 
 /// All healthy and valid ephemerides of `satellite` at `time`, in order of toe, those of BeiDou
@@ -282,7 +309,7 @@ mod tests {
     fn a_satellite_whose_closest_message_is_unhealthy_is_not_used() {
         let sick = KeplerianEphemeris { health: 1, ..sample::gps() };
         let list = navigation([shifted(sample::gps(), 0.0, 1), shifted(sick, 2.0, 2)]);
-        assert_eq!(chosen(&list, "G05", 0.9), Some(1));
+        assert_eq!(chosen(&list, "G05", -0.1), Some(1));
         assert_eq!(chosen(&list, "G05", 1.1), None);
         // The health of I/NAV is not that of F/NAV.
         let sick = KeplerianEphemeris { health: 0b000_000_010, ..sample::galileo() };
@@ -290,6 +317,35 @@ mod tests {
         let list = [shifted(sample::galileo(), 0.0, 1), shifted(sick, 2.0, 2)];
         let list = navigation(list.into_iter().chain([shifted(fnav, 1.0, 3)]));
         assert_eq!(chosen(&list, "E12", 1.1), Some(3));
+    }
+
+    /// A GPS satellite sends an ephemeris up to two hours before its toe. From then on its health
+    /// is the one that it states there, although the ephemeris before is closer.
+    #[test]
+    fn health_is_that_of_the_message_sent_last() {
+        let sent = |health, hours: f64, issue, at_hours: f64| {
+            let transmission_time = Some(sample::toe() + at_hours * SECONDS_PER_HOUR);
+            let e = KeplerianEphemeris { health, transmission_time, ..sample::gps() };
+            shifted(e, hours, issue)
+        };
+        let list = navigation([sent(0, 0.0, 1, -2.0), sent(63, 2.0, 2, -0.2)]);
+        let used = [(-1.0, Some(1)), (-0.25, Some(1)), (-0.15, None), (0.1, None), (1.9, None)];
+        for (hours, issue) in used {
+            assert_eq!(chosen(&list, "G05", hours), issue, "{hours}");
+        }
+        // Healthy again with the next one; the one after it, which is not sent yet, says nothing.
+        let later = [sent(0, 4.0, 3, 2.1), sent(63, 6.0, 4, 4.1)];
+        let list = navigation(list.of("G05".parse().unwrap()).iter().cloned().chain(later));
+        for (hours, issue) in [(2.9, None), (3.1, Some(3)), (4.05, Some(3)), (4.15, None)] {
+            assert_eq!(chosen(&list, "G05", hours), issue, "{hours}");
+        }
+        // One that has expired says nothing about the next one.
+        let list = navigation([sent(63, 0.0, 1, -2.0), sent(0, 4.0, 2, 3.0)]);
+        assert_eq!(chosen(&list, "G05", 2.1), Some(2));
+        // A time of transmission is unknown in RTCM 3.
+        let unknown = KeplerianEphemeris { health: 63, ..sample::gps() };
+        let list = navigation([sent(0, 0.0, 1, -2.0), shifted(unknown, 2.0, 2)]);
+        assert_eq!((chosen(&list, "G05", -0.1), chosen(&list, "G05", 0.1)), (Some(1), None));
     }
 
     #[test]
