@@ -135,8 +135,8 @@ impl Measurements {
     /// Takes the usable measurements of `epoch` under `options`, corrected for satellites and
     /// clocks.
     ///
-    /// If a satellite or signal appears twice, the first one counts. A signal whose group delay the
-    /// message does not contain is used only if the receiver's bands agree.
+    /// If a satellite or signal appears twice, the first one counts. A signal whose group delay no
+    /// message contains is used only if the receiver's bands agree.
     pub(super) fn gather(
         &mut self,
         epoch: &Epoch,
@@ -160,15 +160,18 @@ impl Measurements {
             *bits |= bit;
             let reach_s = options.ephemeris_beidou_s;
             let closest = closest_ephemerides(navigation, satellite, epoch.time, reach_s);
-            let mut closest = closest.peekable();
-            if closest.peek().is_none() {
+            if closest.clone().next().is_none() {
                 self.without_ephemeris.push(satellite);
                 continue;
             }
-            // D1 has no group delay of B1C and B2a, B-CNAV has.
-            let of_message =
-                |ephemeris| measurement(epoch.time, ephemeris, observations, options, bands);
-            self.list.extend(closest.find_map(of_message));
+            // D1 has no group delay of B1C and B2a, B-CNAV has. LNAV has none of L5, CNAV has.
+            let measured = |delays| {
+                closest.clone().find_map(|ephemeris| {
+                    measurement(epoch.time, ephemeris, observations, options, delays)
+                })
+            };
+            let stated = measured(Delays::Stated);
+            self.list.extend(stated.or_else(|| measured(Delays::allowed(bands))));
         }
         self.without_ephemeris.sort_unstable();
     }
@@ -239,8 +242,9 @@ impl Measurement {
         let (_, observations) = satellites.find(|(satellite, _)| *satellite == self.satellite)?;
         let atmosphere_m = self.corrected_range_m - self.pseudorange_m;
         let in_force = ephemerides_in_force(navigation, self.satellite, epoch.time, reach_s);
+        let delays = Delays::allowed(bands);
         let others = in_force.filter_map(|ephemeris| {
-            let other = measurement(epoch.time, ephemeris, observations, options, bands)?;
+            let other = measurement(epoch.time, ephemeris, observations, options, delays)?;
             Some(Self {
                 corrected_range_m: other.pseudorange_m + atmosphere_m,
                 variance_m2: self.variance_m2,
@@ -253,19 +257,35 @@ impl Measurement {
     }
 }
 
+/// The group delays that a measurement may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Delays {
+    /// Those that the message states.
+    Stated,
+    /// Also those of [`unstated_delay_m`].
+    StatedOrNot,
+}
+
+impl Delays {
+    /// The delays that are allowed if the receiver has these bands.
+    fn allowed(bands: ReceiverBands) -> Self {
+        if bands.agree() { Self::StatedOrNot } else { Self::Stated }
+    }
+}
+
 /// The measurement of one satellite, before [`Measurements::place`].
 fn measurement(
     tag: GpsTime,
     ephemeris: &Ephemeris,
     observations: &[Observation],
     options: &PositioningOptions,
-    bands: ReceiverBands,
+    delays: Delays,
 ) -> Option<Measurement> {
-    let main = best_of_first_band(ephemeris, observations, options, bands, None)?;
+    let main = best_of_first_band(ephemeris, observations, options, delays, None)?;
     let wants_second =
         options.dual_frequency || options.ionosphere == IonosphereModel::IonosphereFree;
     let second = match wants_second {
-        true => best_of_first_band(ephemeris, observations, options, bands, Some(main.band)),
+        true => best_of_first_band(ephemeris, observations, options, delays, Some(main.band)),
         false => None,
     };
     if options.ionosphere == IonosphereModel::IonosphereFree && second.is_none() {
@@ -363,7 +383,7 @@ fn best_of_first_band<'a>(
     ephemeris: &Ephemeris,
     observations: &'a [Observation],
     options: &PositioningOptions,
-    bands: ReceiverBands,
+    delays: Delays,
     other_than: Option<Band>,
 ) -> Option<Candidate<'a>> {
     let usable = observations.iter().filter_map(|observation| {
@@ -379,7 +399,7 @@ fn best_of_first_band<'a>(
         }
         let (group_delay_m, group_delay_m2) = group_delay(ephemeris, observation.code, options)?;
         // The second pseudorange corrects the first, so its group delay must be known.
-        if 0.0 < group_delay_m2 && (other_than.is_some() || !bands.agree()) {
+        if 0.0 < group_delay_m2 && (other_than.is_some() || delays == Delays::Stated) {
             return None;
         }
         Some(Candidate {
@@ -440,5 +460,57 @@ mod tests {
             let delay_m = 2.2e7 + measured.state.clock_m - measured.pseudorange_m;
             assert!((delay_m - delay_s * SPEED_OF_LIGHT).abs() < 1e-6, "{code:?} {delay_m}");
         }
+    }
+    /// A GPS satellite that is received on L5 alone. LNAV states no delay of L5, so one is assumed;
+    /// CNAV states T_GD − ISC_L5Q5.
+    #[test]
+    fn a_stated_delay_goes_before_an_assumed_one() {
+        let broadcast = navigation(&Scenario::open_sky());
+        let lnav_of = |ephemeris: &Ephemeris| match ephemeris {
+            Ephemeris::Keplerian(e) if e.message == NavigationMessage::Lnav => Some(e.clone()),
+            _ => None,
+        };
+        let all = broadcast.satellites().flat_map(|(_, list)| list);
+        let lnav = all.filter_map(lnav_of).next().expect("the scenario has GPS");
+        let (tgd_s, isc_s) = (-5e-9, 3e-9);
+        let delays = |isc_l5q_s| GroupDelays::Gps {
+            tgd_s,
+            isc_l1ca_s: None,
+            isc_l2c_s: None,
+            isc_l5i_s: None,
+            isc_l5q_s,
+            isc_l1cd_s: None,
+            isc_l1cp_s: None,
+        };
+        let lnav = KeplerianEphemeris { group_delays: delays(None), ..lnav };
+        let message = NavigationMessage::Cnav;
+        let cnav =
+            KeplerianEphemeris { message, group_delays: delays(Some(isc_s)), ..lnav.clone() };
+        let mut observation =
+            Observation::empty(lnav.satellite, ObservationCode::parse("5Q").unwrap());
+        observation.pseudorange_m = Some(2.2e7);
+        let epoch = Epoch { observations: vec![observation], ..Epoch::new(lnav.toe) };
+        let options = PositioningOptions::new(Mode::Fgo, Profile::General);
+        let measured = |list: &[&KeplerianEphemeris], bands| {
+            let mut known = Navigation::default();
+            known.insert_all(list.iter().map(|e| Ephemeris::Keplerian((*e).clone())));
+            let mut measurements = Measurements::default();
+            measurements.gather(&epoch, &known, &options, bands);
+            let delay = |m: &Measurement| {
+                let delay_m = 2.2e7 + m.state.clock_m - m.pseudorange_m;
+                (delay_m / SPEED_OF_LIGHT, m.group_delay_m2)
+            };
+            measurements.list.first().map(delay)
+        };
+        let (agreeing, unknown) = (ReceiverBands::AGREEING, ReceiverBands::default());
+        for bands in [agreeing, unknown] {
+            let (delay_s, variance_m2) = measured(&[&lnav, &cnav], bands).expect("by CNAV");
+            assert!((delay_s - (tgd_s - isc_s)).abs() < 1e-14, "{delay_s}");
+            assert_eq!(variance_m2, 0.0);
+        }
+        let (delay_s, variance_m2) = measured(&[&lnav], agreeing).expect("by LNAV");
+        assert!((delay_s - (154.0_f64 / 115.0).powi(2) * tgd_s).abs() < 1e-14, "{delay_s}");
+        assert_eq!(variance_m2, UNSTATED_DELAY_M * UNSTATED_DELAY_M);
+        assert_eq!(measured(&[&lnav], unknown), None);
     }
 }
