@@ -28,6 +28,10 @@ pub(super) trait Cargo {
 
     /// Reads the content of an answer.
     fn read(response: Self::Response) -> Answer;
+
+    /// Whether a message only states that a receiver's stream ends. The answer to the last bytes
+    /// has the same number as the answer to this message.
+    fn is_bare_end(request: &Self::Request) -> bool;
 }
 
 /// What the first message of a stream tells the service.
@@ -111,6 +115,10 @@ impl Cargo for Epochs {
             ending: response.ending,
         }
     }
+
+    fn is_bare_end(_: &Self::Request) -> bool {
+        false
+    }
 }
 
 impl Cargo for RawBytes {
@@ -146,5 +154,9 @@ impl Cargo for RawBytes {
             results: response.results,
             ending: response.ending,
         }
+    }
+
+    fn is_bare_end(request: &Self::Request) -> bool {
+        request.end && request.content.is_empty()
     }
 }

@@ -53,8 +53,9 @@ struct Kept<R> {
     /// The message is settled when the service has stored or refused epochs, or stored bytes, up
     /// to this number.
     through: u64,
-    /// Whether `through` exceeds that of the message before. A receiver's last one may not.
-    is_new: bool,
+    /// Whether it only ends a receiver's stream. It is settled when the service ends a stream that
+    /// has carried it: the answer to the message before has the same `through`.
+    is_bare_end: bool,
     /// When the message was due.
     due: Instant,
 }
@@ -136,8 +137,8 @@ impl<C: Cargo> DeviceStream<C> {
     /// due at `due`. It is durable when the service has stored epochs, or bytes, up to `through`.
     pub(super) fn send(&mut self, request: C::Request, count: u64, through: u64, due: Instant) {
         let amount = Amount { count, bytes: request.encoded_len() as u64 };
-        let is_new = self.kept.back().is_none_or(|last| last.through < through);
-        self.kept.push_back(Kept { request, amount, through, is_new, due });
+        let is_bare_end = C::is_bare_end(&request);
+        self.kept.push_back(Kept { request, amount, through, is_bare_end, due });
         self.transmit();
     }
 
@@ -165,7 +166,10 @@ impl<C: Cargo> DeviceStream<C> {
                         let acknowledged = self.take(C::read(response), false);
                         return Ok(Next::Acknowledged(acknowledged));
                     }
-                    Ok(None) => self.after_end().await,
+                    Ok(None) => match self.take_end() {
+                        Some(acknowledged) => return Ok(Next::Acknowledged(acknowledged)),
+                        None => self.after_end().await,
+                    },
                     Err(status) => self.after_break(&status).await?,
                 },
                 () = at(due) => return Ok(Next::Due),
@@ -199,7 +203,12 @@ impl<C: Cargo> DeviceStream<C> {
         mut self,
         mut count: impl FnMut(Acknowledged),
     ) -> Result<usize, Failure> {
-        self.settle(&mut count).await?;
+        while !self.is_settled() {
+            self.end_side_before_end();
+            if let Next::Acknowledged(acknowledged) = self.next(None).await? {
+                count(acknowledged);
+            }
+        }
         let breaks = self.breaks;
         if let Some(open) = &mut self.open {
             open.sender = None;
@@ -211,6 +220,35 @@ impl<C: Cargo> DeviceStream<C> {
             count(self.take(C::read(response), false));
         }
         Ok(breaks)
+    }
+
+    /// Closes the device's side if only the end of a receiver's stream is not settled yet, and the
+    /// open stream has carried it. The service then processes it and ends the stream.
+    fn end_side_before_end(&mut self) {
+        if self.has_carried_end()
+            && let Some(open) = &mut self.open
+        {
+            open.sender = None;
+        }
+    }
+
+    /// Takes the end of a stream without an error. It settles the end of a receiver's stream that
+    /// the stream has carried, because the service has answered everything before.
+    fn take_end(&mut self) -> Option<Acknowledged> {
+        if !self.has_carried_end() {
+            return None;
+        }
+        self.open = None;
+        let now = Instant::now();
+        let delays = self.kept.drain(..).map(|kept| now - kept.due).collect();
+        Some(Acknowledged { results: Vec::new(), delays })
+    }
+
+    /// Whether the open stream has carried the end of a receiver's stream, and everything else is
+    /// settled.
+    fn has_carried_end(&self) -> bool {
+        let carried = self.open.as_ref().map_or(0, |open| open.carried);
+        0 < carried && carried == self.kept.len() && self.kept.iter().all(|kept| kept.is_bare_end)
     }
 
     /// Sends the kept messages that the credit allows.
@@ -288,8 +326,8 @@ impl<C: Cargo> DeviceStream<C> {
         self.retry = self.connection.retry();
         let mut carried = self.open.as_ref().map_or(0, |open| open.carried);
         while let Some(kept) = self.kept.pop_front_if(|kept| {
-            let is_known = if is_first { kept.is_new } else { 0 < carried };
-            is_known && Some(kept.through) <= answer.through
+            let is_known = is_first || 0 < carried;
+            is_known && !kept.is_bare_end && Some(kept.through) <= answer.through
         }) {
             acknowledged.delays.push(now - kept.due);
             carried = carried.saturating_sub(1);
@@ -354,5 +392,142 @@ async fn at(due: Option<Instant>) {
     match due {
         Some(due) => sleep_until(due).await,
         None => pending().await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use bytes::{BufMut, Bytes, BytesMut};
+    use http_body_util::StreamBody;
+    use hyper::body::Frame;
+    use hyper::{HeaderMap, StatusCode};
+    use tokio_stream::StreamExt;
+    use tonic::codec::BufferSettings;
+    use tonic_prost::ProstCodec;
+
+    use super::super::cargo::RawBytes;
+    use super::super::connection::Positioning;
+    use super::super::trust::TrustArguments;
+    use super::*;
+
+    type Frames = mpsc::Sender<Result<Frame<Bytes>, Status>>;
+
+    /// A service in the thread of the test, which stores bytes.
+    #[derive(Clone, Copy)]
+    struct Service {
+        /// Number of streams that break before the end is processed.
+        breaks: usize,
+        through: u64,
+        is_ended: bool,
+    }
+
+    thread_local! {
+        static SERVICE: Cell<Service> =
+            const { Cell::new(Service { breaks: 0, through: 0, is_ended: false }) };
+    }
+
+    /// Raw bytes for this service.
+    struct Scripted;
+
+    impl Cargo for Scripted {
+        type Request = v1::StreamRawRequest;
+        type Response = v1::StreamRawResponse;
+
+        const UNIT: &'static str = "chunks";
+
+        fn opening(&self, opening: Opening<'_>) -> Self::Request {
+            RawBytes { near: None }.opening(opening)
+        }
+
+        async fn open(
+            _: &mut Positioning,
+            messages: Request<ReceiverStream<Self::Request>>,
+        ) -> Result<tonic::Response<Streaming<Self::Response>>, Status> {
+            let (frames, body) = mpsc::channel(64);
+            tokio::spawn(serve(messages.into_inner(), frames));
+            type Codec = ProstCodec<v1::StreamRawRequest, v1::StreamRawResponse>;
+            let decoder = Codec::raw_decoder(BufferSettings::default());
+            let body = StreamBody::new(ReceiverStream::new(body));
+            let answers = Streaming::new_response(decoder, body, StatusCode::OK, None, None);
+            Ok(tonic::Response::new(answers))
+        }
+
+        fn read(response: Self::Response) -> Answer {
+            RawBytes::read(response)
+        }
+
+        fn is_bare_end(request: &Self::Request) -> bool {
+            RawBytes::is_bare_end(request)
+        }
+    }
+
+    /// Serves one stream.
+    async fn serve(mut messages: ReceiverStream<v1::StreamRawRequest>, frames: Frames) {
+        messages.next().await.expect("an opening");
+        answer(&frames).await;
+        while let Some(message) = messages.next().await {
+            let Service { breaks, through, is_ended } = SERVICE.get();
+            if message.end && 0 < breaks {
+                SERVICE.set(Service { breaks: breaks - 1, through, is_ended });
+                frames.send(Err(Status::unavailable("killed"))).await.unwrap();
+                return;
+            }
+            let through = through.max(message.offset + message.content.len() as u64);
+            SERVICE.set(Service { breaks, through, is_ended: is_ended || message.end });
+            answer(&frames).await;
+        }
+        let status = HeaderMap::from_iter([("grpc-status".parse().unwrap(), "0".parse().unwrap())]);
+        frames.send(Ok(Frame::trailers(status))).await.unwrap();
+    }
+
+    async fn answer(frames: &Frames) {
+        let credit = v1::StreamRawCredit { chunks: 100, bytes: 1 << 20 };
+        let raw_through = SERVICE.get().through;
+        let answer =
+            v1::StreamRawResponse { raw_through, credit: Some(credit), ..Default::default() };
+        let mut frame = BytesMut::new();
+        frame.put_u8(0);
+        frame.put_u32(answer.encoded_len() as u32);
+        answer.encode(&mut frame).unwrap();
+        // Err: the client has closed the stream.
+        frames.send(Ok(Frame::data(frame.freeze()))).await.ok();
+    }
+
+    /// Sends these bytes and their end. Returns the number of breaks.
+    async fn sent(service: Service, content: &'static [u8]) -> usize {
+        SERVICE.set(service);
+        let (trust, patience) = (TrustArguments::default(), Duration::from_secs(10));
+        let connection = Connection::to("http://127.0.0.1:9", None, &trust, patience);
+        let connection = connection.expect("an address");
+        let mut device =
+            DeviceStream::new((&connection, Scripted), "ses_1", v1::Answers::Summary, 0);
+        let (mut offset, now) = (service.through, Instant::now());
+        for (content, end) in [(content, false), (b"".as_slice(), true)] {
+            if content.is_empty() && !end {
+                continue;
+            }
+            let content = Bytes::from_static(content);
+            let through = offset + content.len() as u64;
+            let chunk = v1::StreamRawRequest { opening: None, offset, content, end };
+            device.send(chunk, 1, through, now);
+            offset = through;
+        }
+        device.close(|_| ()).await.expect("the service comes back")
+    }
+
+    /// The answer to the last bytes does not settle the end of the receiver's stream, nor does a
+    /// new stream whose service has all bytes. Without the end, the last epoch would be missing.
+    #[tokio::test]
+    async fn the_end_of_a_receiver_is_sent_until_it_is_processed() {
+        for breaks in 0..3 {
+            for (through, content) in [(0, b"0123456789".as_slice()), (10, b"")] {
+                let service = Service { breaks, through, is_ended: false };
+                assert_eq!(sent(service, content).await, breaks);
+                let Service { through, is_ended, .. } = SERVICE.get();
+                assert_eq!((through, is_ended), (10, true), "{breaks} breaks");
+            }
+        }
     }
 }

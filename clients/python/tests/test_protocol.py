@@ -7,12 +7,16 @@ from collections.abc import Iterator
 import grpc
 
 from graphfix import Epoch
-from graphfix._cargo import Epochs
+from graphfix._cargo import Epochs, RawBytes
 from graphfix._device_stream import DeviceStream, StreamOptions
 from graphfix.v1.positioning_pb2 import (
     ANSWERS_FULL,
     StreamCredit,
     StreamOpened,
+    StreamRawCredit,
+    StreamRawOpened,
+    StreamRawRequest,
+    StreamRawResponse,
     StreamRequest,
     StreamResponse,
     StreamResult,
@@ -72,6 +76,40 @@ class Script:
             yield StreamResponse(durable_through=through, credit=CREDIT, results=[result])
 
 
+class RawScript:
+    """A service that stores bytes, and whose first streams break before the end is processed."""
+
+    def __init__(self, breaks: int, through: int = 0) -> None:
+        self.left = breaks
+        self.through = through
+        self.streams = 0
+        self.is_ended = False
+
+    def __call__(self, requests: Iterator[StreamRawRequest]) -> RawScript:
+        self.requests = requests
+        return self
+
+    def cancel(self) -> None:
+        """Nothing is open."""
+
+    def __iter__(self) -> Iterator[StreamRawResponse]:
+        self.streams += 1
+        next(self.requests)
+        opened = StreamRawOpened(raw_through=self.through, idle_s=300)
+        credit = StreamRawCredit(chunks=100, bytes=1 << 20)
+        yield StreamRawResponse(opened=opened, raw_through=self.through, credit=credit)
+        for request in self.requests:
+            if request.end and self.left:
+                # The bytes are acknowledged while the end is on its way.
+                self.left -= 1
+                yield StreamRawResponse(raw_through=self.through, credit=credit)
+                raise BrokenError
+            self.through = max(self.through, request.offset + len(request.content))
+            self.is_ended = self.is_ended or request.end
+            if request.end:
+                yield StreamRawResponse(raw_through=self.through, credit=credit)
+
+
 def options() -> StreamOptions:
     """Full answers, from nothing."""
     return StreamOptions(
@@ -101,3 +139,21 @@ def test_new_epochs_do_not_bring_old_answers() -> None:
     assert service.openings[1].opening.last_acknowledged == STORED
     assert answers == [STORED + 1, STORED + 2, STORED + 3]
     assert stream.breaks == 1
+
+
+def test_the_end_of_a_receiver_is_sent_until_it_is_processed() -> None:
+    """Without it, the service would keep the last epoch of the bytes back for ever."""
+    for breaks in range(3):
+        service = RawScript(breaks)
+        cargo = RawBytes("ses_1", ANSWERS_FULL, offset=0, near=None, has_end=True)
+        stream = DeviceStream(service, cargo, [b"x" * 1000], options())
+        assert list(stream) == []
+        assert (service.is_ended, stream.stored_through) == (True, 1000)
+        assert (stream.breaks, service.streams) == (breaks, breaks + 1)
+
+
+def test_an_end_without_new_bytes_is_sent() -> None:
+    service = RawScript(breaks=0, through=1000)
+    cargo = RawBytes("ses_1", ANSWERS_FULL, offset=1000, near=None, has_end=True)
+    assert list(DeviceStream(service, cargo, [], options())) == []
+    assert service.is_ended

@@ -53,7 +53,7 @@ class Message(Generic[RequestT]):
     # It is durable once the service has stored epochs, or bytes, up to this number.
     through: int
     # Not so the end of a receiver's stream: the service may have all bytes without knowing that
-    # they are all.
+    # they are all. It is done when the service ends a stream that has carried it.
     has_content: bool = True
     was_sent: bool = False
 

@@ -213,6 +213,7 @@ class DeviceStream(Generic[ItemT, RequestT, ResponseT]):
 
     def _after_end(self, ending: StreamEnding | None) -> bool:
         """The service has ended the stream."""
+        self._outbox.take_end()
         if self._outbox.is_settled() and ending is None:
             return True
         if self._closed.is_set():

@@ -132,12 +132,26 @@ class Outbox(Generic[RequestT]):
             self._changed.notify_all()
             return before - len(self._kept)
 
+    def take_end(self) -> None:
+        """Drops the end of a receiver's stream, if the stream that has just ended carried it.
+
+        The service ends a stream without an error only after it has answered everything.
+        """
+        with self._changed:
+            is_carried = 0 < self._carried == len(self._kept)
+            if is_carried and not any(message.has_content for message in self._kept):
+                self._kept.clear()
+                self._carried = 0
+
     def _is_done(self, is_first: bool, stored_through: int, refused: set[int]) -> bool:
         message = self._kept[0]
+        if not message.has_content:
+            # The answer to the last bytes has the same number.
+            return False
         if is_first:
             # A message that was never sent is not dropped: if its number is stored already, the
             # service compares the content.
-            return message.was_sent and message.has_content and message.through <= stored_through
+            return message.was_sent and message.through <= stored_through
         was_carried = 0 < self._carried
         return was_carried and (message.through <= stored_through or message.through in refused)
 
