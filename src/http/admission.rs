@@ -50,12 +50,19 @@ pub(super) async fn admit(
     let is_named = is_named(&service, &request);
     let target = target(request.method().as_str(), request.uri().path());
     let mark = forwarding::mark(&service, request.headers());
-    let caught_up = match service.may_be_new(credential(&request), mark.key()) {
+    let addressed = addressed(&service, &target, &mark, &request);
+    let caught_up = match &addressed {
         // Boxed, so that other requests need no memory for it.
-        true => Box::pin(service.catch_up()).await,
-        false => Ok(()),
+        Ok((call, _)) if may_be_new(&service, call, &mark, &request) => {
+            Box::pin(service.catch_up()).await
+        }
+        _ => Ok(()),
     };
-    let admitted = match caught_up.and_then(|()| checked(&service, &target, &mark, &request)) {
+    let checked = addressed.and_then(|(call, foreign)| {
+        caught_up?;
+        Ok((call, sender(&service, call, foreign, &mark, &request)?))
+    });
+    let admitted = match checked {
         Ok((call, pass)) => {
             match peers.route(&service, call, (&mark, pass.as_ref()), (request, is_grpc)).await {
                 Ok(Route::Here(request)) => leased(&service, request, pass, is_grpc),
@@ -135,13 +142,14 @@ fn outcome(response: &Response) -> Outcome {
     }
 }
 
-/// The sender of a request, if everything but its body is valid; `None` if no key is needed.
-fn checked(
+/// The call of a request, if its host, its origin and its call are valid; and its origin, if the
+/// operator lists it for certain tenants.
+fn addressed<'a>(
     service: &Service,
     target: &Target,
     mark: &Mark,
-    request: &Request,
-) -> Result<(&'static Call, Option<Pass>), Refusal> {
+    request: &'a Request,
+) -> Result<(&'static Call, Option<&'a str>), Refusal> {
     let (method, path) = (request.method(), request.uri().path());
     let foreign = match mark {
         Mark::Node(_) => None, // The node that sends it on has looked.
@@ -162,13 +170,31 @@ fn checked(
     if peer.is_some_and(|peer| peer.is_late) && !tells_health(call) {
         return Err(Refusal::new(Code::Draining, "the service is about to stop"));
     }
+    Ok((call, foreign))
+}
+
+/// Whether a request has a key or a sign-in that others may have made just now, and its call needs
+/// one. Calls that need none do not wait for the database: its failure does not make a service
+/// appear dead.
+fn may_be_new(service: &Service, call: &Call, mark: &Mark, request: &Request) -> bool {
+    !matches!(call.need, Need::Nothing) && service.may_be_new(credential(request), mark.key())
+}
+
+/// The sender of a request, if everything but its body is valid; `None` if no key is needed.
+fn sender(
+    service: &Service,
+    call: &Call,
+    foreign: Option<&str>,
+    mark: &Mark,
+    request: &Request,
+) -> Result<Option<Pass>, Refusal> {
     if let Mark::Node(key) = mark {
-        let pass = match call.need {
-            Need::Nothing => None,
-            _ => Some(service.pass_of(key)?),
+        return match call.need {
+            Need::Nothing => Ok(None),
+            _ => service.pass_of(key).map(Some),
         };
-        return Ok((call, pass));
     }
+    let peer: Option<&Peer> = request.extensions().get();
     let pass = service.admit(call, credential(request), peer.map(|peer| peer.address))?;
     if let (Some(origin), Some(pass)) = (foreign, &pass)
         && !service.web_origins().serve(origin, pass.tenant())
@@ -180,7 +206,7 @@ fn checked(
     if !is_grpc(request.headers()) {
         head::check(call, request)?;
     }
-    Ok((call, pass))
+    Ok(pass)
 }
 
 /// Whether a call reports the health of the service. Such calls are answered until the service has

@@ -2,14 +2,18 @@
 
 use std::time::{Duration, Instant};
 
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
 use graphfix::aiding::bases::NewBase;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::clock::Clock;
 use graphfix::session::{SessionId, SessionLimits, SessionUpdate, Sessions};
 use graphfix::store::{CommitterState, Store};
+use serde_json::json;
 use tokio::time::timeout;
 
 use crate::support::database::{on_postgres, whole_session};
+use crate::support::doors::Doors;
 use crate::support::proxy::{Mode, Proxy};
 #[cfg(target_os = "linux")]
 use crate::support::server::{Server, free_port, get_with};
@@ -195,6 +199,34 @@ async fn a_drop_of_a_day_does_not_wait_for_ever() {
             database.count(days).await
         };
         until("dropped", remove, |count| *count < before).await;
+    })
+    .await;
+}
+
+/// While the server is frozen, calls that need no key and calls that do not exist are answered at
+/// once, even to a key that is not known: those who watch the service do not take it for dead.
+#[tokio::test]
+async fn a_service_without_its_database_is_alive() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let doors = Doors::on(&proxy.url(&database.url)).await;
+        let (status, key) = doors.post("/v1/keys", json!({"rights": ["admin"]})).await;
+        assert_eq!(status, StatusCode::CREATED, "{key}");
+        proxy.set(Mode::Frozen);
+        for (path, host, expected) in [
+            ("/healthz", "localhost", StatusCode::OK),
+            ("/docs/errors", "localhost", StatusCode::OK),
+            ("/v1/nothing", "localhost", StatusCode::NOT_FOUND),
+            ("/v1/sessions", "example.com", StatusCode::FORBIDDEN),
+        ] {
+            let key = format!("Bearer gfx_{}", "A".repeat(43));
+            let request = Request::get(path).header("host", host).header("authorization", key);
+            let begun = Instant::now();
+            let (status, answer) = doors.ask(request.body(Body::empty()).unwrap()).await;
+            assert_eq!(status, expected, "{path}: {answer}");
+            assert!(begun.elapsed() < Duration::from_secs(2), "{path}: {:?}", begun.elapsed());
+        }
+        proxy.set(Mode::Pass);
     })
     .await;
 }
