@@ -5,11 +5,15 @@ use std::mem;
 use crate::contract::{Caller, Refusal, texts, v1};
 use crate::store::{AuditEntry, AuditFilter};
 
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::{oldest_first, page_size, timestamp, unix_ms, utc};
 
 /// Entries on a page if the request gives no size.
 const PAGE: usize = 100;
+/// Most entries on a page.
+const PAGE_LIMIT: usize = 1000;
+/// Memory of an entry, its message and its JSON (bytes).
+const ENTRY_BYTES: usize = 8 << 10;
 
 /// A page of entries: those of the caller's tenant; for the operator, those of all tenants.
 ///
@@ -23,11 +27,14 @@ pub async fn list(
     let size = page_size(mem::take(&mut request.page_size), PAGE);
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Audit/List", &request, &token)?;
-    let page = caller.audit(filter(caller, request)?, size, pages.after()).await?;
-    Ok(v1::ListAuditResponse {
-        entries: page.items.into_iter().map(message).collect(),
-        next_page_token: pages.token(page.next_page_token),
-    })
+    let filter = filter(caller, request)?;
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), ENTRY_BYTES)?;
+    while let Some(count) = reading.batch()? {
+        let page = caller.audit(filter.clone(), count, reading.after()).await?;
+        reading.add(page.items.into_iter().map(message), page.next_page_token);
+    }
+    let (entries, next) = reading.end();
+    Ok(v1::ListAuditResponse { entries, next_page_token: pages.token(next) })
 }
 
 /// Which entries a list has.

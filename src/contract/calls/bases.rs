@@ -8,12 +8,12 @@ use crate::aiding::bases::{
 };
 use crate::clock::unix_ms;
 use crate::contract::reason::reason;
-use crate::contract::{Caller, Refusal, convert, finished, texts, v1};
+use crate::contract::{Caller, Lease, Refusal, convert, finished, texts, v1};
 use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSource, Reason};
 use crate::refusal::Code;
 
 use super::feeds;
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, read_text};
 use super::{base_id, named_request, named_request_by, page_size, timestamp, utc};
@@ -22,6 +22,10 @@ use super::{base_id, named_request, named_request_by, page_size, timestamp, utc}
 const PAGE: usize = 100;
 /// Most bases on a page.
 const PAGE_LIMIT: usize = 1000;
+/// Memory of a base of the service while a page is chosen (bytes).
+const LISTED_BYTES: usize = 1024;
+/// Memory of a base on a page, its message and its JSON (bytes).
+const BASE_BYTES: usize = 16 << 10;
 /// Possible distances of a base from the centre of the Earth (m): from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;
@@ -105,18 +109,23 @@ pub async fn list(
     let size = page_size(mem::take(&mut request.page_size), PAGE);
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Bases/List", &request, &token)?;
-    if PAGE_LIMIT < size {
-        let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
-        return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
-    }
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), BASE_BYTES)?;
+    let all_bytes = caller.limits().bases * LISTED_BYTES;
+    Lease::current().map_or(Ok(()), |lease| lease.reserve(all_bytes))?;
     let mut bases = caller.bases().list().await;
     bases.retain(|base| pages.after().is_none_or(|after| after < &*base.name.id));
-    let more = size < bases.len();
-    bases.truncate(size);
-    let last = bases.last().filter(|_| more);
+    let mut rest = &*bases;
+    while let Some(count) = reading.batch()? {
+        let (batch, later) = rest.split_at(count.min(rest.len()));
+        let last = batch.last().filter(|_| !later.is_empty());
+        let next = last.map(|base| base.name.id.to_string());
+        reading.add(batch.iter().map(|base| message(caller, base)), next);
+        rest = later;
+    }
+    let (bases, next) = reading.end();
     Ok(v1::ListBasesResponse {
-        next_page_token: pages.token(last.map(|base| base.name.id.to_string())),
-        bases: bases.iter().map(|base| message(caller, base)).collect(),
+        next_page_token: pages.token(next),
+        bases,
         networks: caller.feeds().networks().iter().map(feeds::network_message).collect(),
     })
 }

@@ -16,12 +16,16 @@ use crate::jobs::{
 use crate::refusal::Code;
 use crate::store::{JobState, WebhookState};
 
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::uploads::upload_id;
 use super::{job_options, oldest_first, page_size, timestamp, typed, utc};
 
 /// Jobs on a page if the request gives no size.
 const PAGE: usize = 100;
+/// Most jobs on a page.
+const PAGE_LIMIT: usize = 1000;
+/// Memory of a job with its report, its message and its JSON (bytes).
+const JOB_BYTES: usize = 32 << 10;
 /// Memory of the options and names of an upload (bytes).
 const OPTIONS_BYTES: usize = 64 << 10;
 /// Name of the call that deletes a job.
@@ -271,8 +275,13 @@ pub(super) async fn page(
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Jobs/List", &request, &token)?;
     let filter = (state(&request.state)?, oldest_first(request.order)?);
-    let page = caller.jobs().list(filter, size, pages.after()).await?;
-    Ok((page.items, pages.token(page.next_page_token)))
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), JOB_BYTES)?;
+    while let Some(count) = reading.batch()? {
+        let page = caller.jobs().list(filter, count, reading.after()).await?;
+        reading.add(page.items, page.next_page_token);
+    }
+    let (jobs, next) = reading.end();
+    Ok((jobs, pages.token(next)))
 }
 
 /// The state by which a list is filtered; none if the name is empty.

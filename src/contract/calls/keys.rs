@@ -7,11 +7,15 @@ use crate::keys::{Created, KeyInfo, NewKey, Rights};
 use crate::refusal::Code;
 use crate::tenant::Tenant;
 
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::{page_size, timestamp, utc};
 
 /// Keys on a page if the request gives no size.
 const PAGE: usize = 100;
+/// Most keys on a page.
+const PAGE_LIMIT: usize = 1000;
+/// Memory of a key, its message and its JSON (bytes).
+const KEY_BYTES: usize = 4 << 10;
 /// Longest time for which a key is in force (s): a century.
 const LIFETIME_MAX_S: u64 = 3_153_600_000;
 
@@ -57,11 +61,13 @@ pub async fn list(
     let token = mem::take(&mut request.page_token);
     let tenant = tenant(caller, &request.tenant)?;
     let pages = Pages::of("Keys/List", &request, &token)?;
-    let page = caller.keys().list(&tenant, size, pages.after()).await?;
-    Ok(v1::ListKeysResponse {
-        keys: page.items.into_iter().map(message).collect(),
-        next_page_token: pages.token(page.next_page_token),
-    })
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), KEY_BYTES)?;
+    while let Some(count) = reading.batch()? {
+        let page = caller.keys().list(&tenant, count, reading.after()).await?;
+        reading.add(page.items.into_iter().map(message), page.next_page_token);
+    }
+    let (keys, next) = reading.end();
+    Ok(v1::ListKeysResponse { keys, next_page_token: pages.token(next) })
 }
 
 /// A key, even if it is revoked or has expired. The operator finds keys of every tenant.

@@ -10,7 +10,7 @@ use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 use crate::store::{SCANNED_HEADS, SessionFilter};
 
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::{
     MODE, NEAREST, PROFILE, base_choice, bounds, is_full, named_request, oldest_first, or_standard,
     page_size, session_id, timestamp, utc,
@@ -18,6 +18,12 @@ use super::{
 
 /// Sessions on a page if the request gives no size.
 const PAGE: usize = 100;
+/// Most sessions on a page.
+const PAGE_LIMIT: usize = 1000;
+/// Memory of a session with its configuration of 75 options, its message and its JSON (bytes).
+const FULL_BYTES: usize = 64 << 10;
+/// Memory of a session without its configuration, its message and its JSON (bytes).
+const BASIC_BYTES: usize = 8 << 10;
 /// Heads on a page if the request gives no size.
 const HEADS: usize = 1000;
 /// Most heads on a page.
@@ -64,7 +70,8 @@ pub async fn get(caller: &Caller, request: v1::GetSessionRequest) -> Result<v1::
     Ok(message(caller.sessions().get(&id).await?))
 }
 
-/// A page of sessions.
+/// A page of sessions. It may have fewer than asked, so that it needs no more than a bounded part
+/// of the memory of requests.
 ///
 /// # Errors
 /// The page token, the page size or the filter is invalid.
@@ -78,12 +85,20 @@ pub async fn list(
     let is_full = is_full(request.view)?;
     let v1::ListSessionsRequest { closed, mode, label, order, .. } = request;
     let filter = filter(closed, mode, label, order)?;
-    let page = caller.sessions().list(&filter, size, pages.after()).await?;
-    let mut sessions: Vec<_> = page.items.into_iter().map(message).collect();
-    if !is_full {
-        sessions.iter_mut().for_each(|session| session.configuration.clear());
+    let item_bytes = if is_full { FULL_BYTES } else { BASIC_BYTES };
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), item_bytes)?;
+    while let Some(count) = reading.batch()? {
+        let page = caller.sessions().list(&filter, count, reading.after()).await?;
+        let shown = |mut session: SessionInfo| {
+            if !is_full {
+                session.configuration = Vec::new();
+            }
+            message(session)
+        };
+        reading.add(page.items.into_iter().map(shown), page.next_page_token);
     }
-    Ok(v1::ListSessionsResponse { sessions, next_page_token: pages.token(page.next_page_token) })
+    let (sessions, next) = reading.end();
+    Ok(v1::ListSessionsResponse { sessions, next_page_token: pages.token(next) })
 }
 
 /// Which sessions a list has.

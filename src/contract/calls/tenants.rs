@@ -7,13 +7,15 @@ use crate::quotas::{QuotaError, TenantInfo};
 use crate::refusal::Code;
 use crate::tenant::{Quotas, Tenant};
 
-use super::paging::Pages;
+use super::paging::{Pages, Reading};
 use super::{page_size, timestamp, utc};
 
 /// Tenants on a page if the request gives no size.
 const PAGE: usize = 100;
 /// Most tenants on a page.
 const PAGE_LIMIT: usize = 1000;
+/// Memory of a tenant, its message and its JSON (bytes).
+const TENANT_BYTES: usize = 8 << 10;
 
 /// A tenant.
 ///
@@ -41,23 +43,22 @@ pub async fn list(
     let size = page_size(mem::take(&mut request.page_size), PAGE);
     let token = mem::take(&mut request.page_token);
     let pages = Pages::of("Tenants/List", &request, &token)?;
-    if PAGE_LIMIT < size {
-        let message = format!("a page of {size} is not from 1 to {PAGE_LIMIT}");
-        return Err(Refusal::new(Code::PageSizeInvalid, message).at("pageSize"));
+    let mut reading = Reading::of(&pages, (size, PAGE_LIMIT), TENANT_BYTES)?;
+    while let Some(count) = reading.batch()? {
+        let after = reading.after().unwrap_or_default();
+        let mut tenants = match caller.tenant().is_operator() {
+            true => caller.quotas().list(after, count + 1).await?,
+            false if caller.tenant().name() <= after => Vec::new(),
+            false => vec![caller.quotas().get(caller.tenant()).await?],
+        };
+        let more = count < tenants.len();
+        tenants.truncate(count);
+        let last = tenants.last().filter(|_| more);
+        let next = last.map(|last| last.tenant.to_string());
+        reading.add(tenants.into_iter().map(message), next);
     }
-    let after = pages.after().unwrap_or_default();
-    let mut tenants = match caller.tenant().is_operator() {
-        true => caller.quotas().list(after, size + 1).await?,
-        false if caller.tenant().name() <= after => Vec::new(),
-        false => vec![caller.quotas().get(caller.tenant()).await?],
-    };
-    let more = size < tenants.len();
-    tenants.truncate(size);
-    let last = tenants.last().filter(|_| more);
-    Ok(v1::ListTenantsResponse {
-        next_page_token: pages.token(last.map(|last| last.tenant.to_string())),
-        tenants: tenants.into_iter().map(message).collect(),
-    })
+    let (tenants, next) = reading.end();
+    Ok(v1::ListTenantsResponse { tenants, next_page_token: pages.token(next) })
 }
 
 /// Sets the quotas of a tenant.

@@ -1,7 +1,10 @@
 //! `/v1/sessions`.
 
-use axum::http::StatusCode;
-use serde_json::json;
+use axum::body::Body;
+use axum::http::{Request, StatusCode};
+use graphfix::config::Limits;
+use serde_json::{Value, json};
+use tower::ServiceExt;
 
 use crate::support::doors::{Doors, code, epoch};
 
@@ -157,4 +160,43 @@ async fn heads_show_the_last_epoch() {
         let (status, refused) = doors.get(&format!("/v1/sessions:heads?{query}")).await;
         assert_eq!(status, StatusCode::BAD_REQUEST, "{refused}");
     }
+}
+
+/// The answers of readers that read nothing take memory from the budget of requests: pages become
+/// shorter, and then every list is refused until there is memory again.
+#[tokio::test]
+async fn lists_take_memory_of_the_budget() {
+    let doors = Doors::with(Limits { request_memory_bytes: 16 << 20, ..Limits::standard() }).await;
+    for _ in 0..200 {
+        doors.session().await;
+    }
+    let count = |page: &Value| page["sessions"].as_array().map_or(0, Vec::len);
+    let full = "/v1/sessions?pageSize=1000";
+    let (_, first) = doors.get(full).await;
+    // 8 MB at 64 kB a session.
+    assert_eq!(count(&first), 128);
+    let token = first["nextPageToken"].as_str().unwrap();
+    let (_, rest) = doors.get(&format!("{full}&pageToken={token}")).await;
+    assert_eq!((count(&rest), &rest["nextPageToken"]), (72, &json!("")));
+    assert_eq!(count(&doors.get(&format!("{full}&view=BASIC")).await.1), 200);
+
+    let unread = async || {
+        let request = Request::get(full).body(Body::empty()).unwrap();
+        doors.router.clone().oneshot(request).await.unwrap()
+    };
+    let (one, other) = (unread().await, unread().await);
+    let lists = ["sessions", "jobs", "keys", "audit", "bases", "tenants"];
+    for list in lists {
+        let (status, refused) = doors.get(&format!("/v1/{list}?pageSize=1000")).await;
+        let outcome = (status, code(&refused));
+        assert_eq!(outcome, (StatusCode::TOO_MANY_REQUESTS, "MEMORY_EXHAUSTED"), "{list}");
+    }
+    drop(one);
+    for list in lists {
+        let (status, answer) = doors.get(&format!("/v1/{list}?pageSize=1000")).await;
+        assert_eq!(status, StatusCode::OK, "{list}: {answer}");
+    }
+    // A page that ends early for want of memory.
+    let bytes = axum::body::to_bytes(other.into_body(), usize::MAX).await.unwrap();
+    assert_eq!(count(&serde_json::from_slice(&bytes).unwrap()), 48);
 }
