@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 
 use bytes::Buf;
 use prost::Message;
-use tonic::codec::{BufferSettings, DecodeBuf, Decoder};
+use tonic::codec::{BufferSettings, DecodeBuf, Decoder, EncodeBuf, Encoder};
 use tonic_prost::{ProstCodec, ProstEncoder};
 
 use crate::contract::{Lease, Refusal, extent_of, off_the_network, v1};
@@ -39,12 +39,12 @@ where
 {
     type Encode = T;
     type Decode = U;
-    type Encoder = ProstEncoder<T>;
+    type Encoder = MessageEncoder<T>;
     type Decoder = MessageDecoder<U>;
 
     fn encoder(&mut self) -> Self::Encoder {
         let [_, to_write] = STREAM_BUFFER_BYTES;
-        ProstCodec::<T, U>::raw_encoder(settings_for::<T>(to_write))
+        MessageEncoder(ProstCodec::<T, U>::raw_encoder(settings_for::<T>(to_write)))
     }
 
     fn decoder(&mut self) -> Self::Decoder {
@@ -64,6 +64,23 @@ fn settings_for<M: 'static>(bytes: usize) -> BufferSettings {
     match of_streams.contains(&TypeId::of::<M>()) {
         true => BufferSettings::new(bytes, STREAM_YIELD_BYTES),
         false => BufferSettings::default(),
+    }
+}
+
+/// Encodes the messages of a call, long ones off the threads that serve the network.
+#[derive(Clone, Debug)]
+pub struct MessageEncoder<T>(ProstEncoder<T>);
+
+impl<T: Message> Encoder for MessageEncoder<T> {
+    type Item = T;
+    type Error = tonic::Status;
+
+    fn encode(&mut self, message: T, buffer: &mut EncodeBuf<'_>) -> Result<(), tonic::Status> {
+        off_the_network(message.encoded_len(), || self.0.encode(message, buffer))
+    }
+
+    fn buffer_settings(&self) -> BufferSettings {
+        self.0.buffer_settings()
     }
 }
 

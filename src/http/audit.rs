@@ -1,12 +1,12 @@
 //! `/v1/audit`.
 
-use axum::Json;
 use serde::Deserialize;
 use utoipa::IntoParams;
 
 use crate::contract::{Caller, calls, v1};
 
 use super::body::StrictQuery;
+use super::json::Json;
 use super::lists::order;
 use super::problem::Refused;
 

@@ -1,6 +1,5 @@
 //! `/v1/bases`.
 
-use axum::Json;
 use axum::extract::Path;
 use axum::http::StatusCode;
 
@@ -9,6 +8,7 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, RawBody, StrictQuery};
 use super::conditions::{IdempotencyKey, Location, created, location};
+use super::json::Json;
 use super::lists::PageQuery;
 use super::problem::Refused;
 

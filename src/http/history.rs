@@ -1,6 +1,5 @@
 //! `/v1/history`.
 
-use axum::Json;
 use axum::extract::Path;
 use serde::Deserialize;
 use utoipa::IntoParams;
@@ -8,6 +7,7 @@ use utoipa::IntoParams;
 use crate::contract::{Caller, calls, v1};
 
 use super::body::StrictQuery;
+use super::json::Json;
 use super::lists::{area, order};
 use super::problem::Refused;
 use super::solutions::time;

@@ -1,6 +1,5 @@
 //! `/v1/jobs/{job}/report`.
 
-use axum::Json;
 use axum::extract::Path;
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
@@ -11,6 +10,7 @@ use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::StrictQuery;
+use super::json::Json;
 use super::problem::Refused;
 
 /// `Content-Security-Policy` of the page, which needs only its own style sheet.

@@ -1,6 +1,5 @@
 //! `/v1/jobs`.
 
-use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, Request};
 use axum::http::{StatusCode, header};
@@ -13,6 +12,7 @@ use crate::contract::{Caller, Refusal, calls, log_failure, v1};
 
 use super::body::{StrictQuery, json};
 use super::conditions::{IdempotencyKey, Location, created, location};
+use super::json::Json;
 use super::lists::order;
 use super::multipart::Multipart;
 use super::problem::Refused;

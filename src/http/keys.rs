@@ -1,6 +1,5 @@
 //! `/v1/keys`.
 
-use axum::Json;
 use axum::extract::Path;
 use axum::http::StatusCode;
 use serde::Deserialize;
@@ -10,6 +9,7 @@ use crate::contract::{Caller, calls, v1};
 
 use super::body::{JsonBody, StrictQuery};
 use super::conditions::{Location, location};
+use super::json::Json;
 use super::problem::Refused;
 use super::sign_in::{NO_STORE, NoStore};
 

@@ -21,6 +21,7 @@ mod history;
 mod job_events;
 mod job_report;
 mod jobs;
+mod json;
 mod json_extent;
 mod keys;
 mod lists;

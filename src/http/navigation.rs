@@ -1,10 +1,9 @@
 //! `/v1/navigation`.
 
-use axum::Json;
-
 use crate::contract::{Caller, calls, v1};
 
 use super::body::RawBody;
+use super::json::Json;
 use super::problem::Refused;
 
 /// Takes a RINEX navigation file, plain or gzip. Its content is durable before the answer.

@@ -1,6 +1,5 @@
 //! Epochs are pushed, solutions are returned.
 
-use axum::Json;
 use axum::extract::{FromRequest, Path, Request};
 use axum::response::{IntoResponse, Response};
 
@@ -8,6 +7,7 @@ use crate::contract::{Caller, Refusal, calls, v1};
 use crate::refusal::Code;
 
 use super::body::{JsonBody, OptionalJsonBody};
+use super::json::Json;
 use super::problem::Refused;
 use super::sessions::{self, named};
 

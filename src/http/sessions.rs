@@ -1,6 +1,5 @@
 //! `/v1/sessions`.
 
-use axum::Json;
 use axum::extract::Path;
 use axum::http::StatusCode;
 use serde::Deserialize;
@@ -11,6 +10,7 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, OptionalJsonBody, StrictQuery};
 use super::conditions::{ETag, IdempotencyKey, IfMatch, Location, created, etag, location};
+use super::json::Json;
 use super::lists::{area, order, view};
 use super::problem::Refused;
 

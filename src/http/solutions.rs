@@ -1,6 +1,5 @@
 //! `/v1/sessions/{session}/solutions`.
 
-use axum::Json;
 use axum::extract::Path;
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -11,6 +10,7 @@ use crate::refusal::Code;
 
 use super::body::StrictQuery;
 use super::download::download;
+use super::json::Json;
 use super::lists::view;
 use super::problem::Refused;
 

@@ -1,6 +1,5 @@
 //! `/v1/tenants`.
 
-use axum::Json;
 use axum::extract::Path;
 
 use crate::contract::{Caller, Refusal, calls, v1};
@@ -8,6 +7,7 @@ use crate::refusal::Code;
 
 use super::body::{JsonBody, StrictQuery};
 use super::conditions::{ETag, IfMatch, etag};
+use super::json::Json;
 use super::lists::PageQuery;
 use super::problem::Refused;
 
