@@ -151,7 +151,7 @@ async fn one_connection_serves_everybody() {
         doors.until(&path(base), |base| 3 <= base["epochs"].as_u64().unwrap()).await;
     }
     assert_eq!(caster.connections.load(Ordering::SeqCst), 1);
-    let sessions = doors.get("/v1/sessions?pageSize=1000").await.1;
+    let sessions = doors.get("/v1/sessions?pageSize=1000&view=BASIC").await.1;
     for session in sessions["sessions"].as_array().unwrap() {
         let path = format!("/v1/sessions/{}", session["session"].as_str().unwrap());
         doors.send("DELETE", &path, json!({})).await;

@@ -197,8 +197,7 @@ impl Task {
         let batch = self.batch(Some(after_seq));
         let batch = Batch { revisions, snapshot, keeps_snapshot, arc, entry, ..batch };
         let stored = self.store.commit(batch).await;
-        // The last number does not show whether the arc is stored. The next activation waits until
-        // the store is settled, and reads it.
+        // The last number does not show an unconfirmed arc: the next activation reads the store.
         stored.inspect_err(|_| *active = None)?;
         self.live.publish(self.key, &revised);
         if let Some(current) = active {
@@ -365,8 +364,7 @@ impl Task {
         let row = self.begin(active).await;
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if active.is_none() {
-            // An unconfirmed commit of this session may still end. A reset keeps the last number,
-            // so the head would accept epochs after the state without the reset.
+            // A reset that is not confirmed may still be stored, and keeps the last number.
             self.store.settled().await?;
         }
         if is_outdated || active.is_none() {
