@@ -199,12 +199,11 @@ impl<const N: usize> Products<N> {
 
     #[inline]
     fn add(&mut self, a: [f64; N], residual: f64, weight: f64) {
-        for j in 0..N {
+        for (j, column) in self.matrix.iter_mut().enumerate() {
             let scaled = weight * a[j];
             self.gradient[j] += scaled * residual;
-            for i in j..N {
-                self.matrix[j][i] += scaled * a[i];
-            }
+            let below = column.iter_mut().zip(&a).skip(j);
+            below.for_each(|(sum, other)| *sum += scaled * other);
         }
     }
 }

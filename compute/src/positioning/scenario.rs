@@ -366,7 +366,8 @@ fn a_climb_after_a_long_rest_is_followed() {
 #[test]
 fn gps_that_appears_late_is_used() {
     let mut navigation = Navigation::default();
-    (sky('G', 6, &mut navigation), sky('E', 6, &mut navigation));
+    sky('G', 6, &mut navigation);
+    sky('E', 6, &mut navigation);
     for (mode, bias_m) in [(Mode::Fgo, 100.0), (Mode::Fgo, -500.0), (Mode::Ekf, 100.0)] {
         let mut estimator = Estimator::new(PositioningOptions { mode, ..options() });
         for second in 0..60 {
