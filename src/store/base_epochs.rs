@@ -67,7 +67,8 @@ impl Store {
         rows.into_iter().map(read).collect()
     }
 
-    /// Removes up to `epochs` epochs of a deleted base. Returns `false` if there are none.
+    /// Removes at most `epochs` epochs of one deleted base. Returns whether a deleted base had
+    /// epochs.
     ///
     /// # Errors
     /// The database fails.
