@@ -76,8 +76,8 @@ impl Chain {
         let Some(now) = self.last_time() else { return false };
         let mut pool = self.pooled(0.0, scratch);
         pool.iter_mut().for_each(|pooled| pooled.independent = 1.0);
-        let bias_sigma_m = self.watch.bias_sigma_m(now);
-        let knowledge = Knowledge { bias_sigma_m, settled: 0.0 };
+        let bias_scale_m = self.watch.bias_scale_m(now);
+        let knowledge = Knowledge { bias_scale_m, settled: 0.0 };
         let rivalry = rivalry(&pool, knowledge, f64::NEG_INFINITY, now.as_ns() as u64);
         let (Rivalry::Rival { offset, .. }, Some(state)) =
             (rivalry, self.estimate.states.last_mut())

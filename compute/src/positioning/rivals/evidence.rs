@@ -22,6 +22,9 @@ const LAST_STEP_M: f64 = 0.3;
 const STEP_MAX_M: f64 = 30.0;
 /// Cost of the noise before learning (nats): odds of 20 : 1 that the learnt noise is right.
 const UNLEARNT_COST: f64 = 3.0;
+/// Difference of their costs by the changes of direct signals alone above which two hypotheses are
+/// told apart (nats).
+const TOLD_APART: f64 = 10.0;
 /// Scale of T (m).
 const SETTLED_M: f64 = 10.0;
 /// Number of residuals whose densities are multiplied before the logarithm. No density is below
@@ -56,8 +59,8 @@ impl Pooled {
 /// Prior knowledge of the clocks and the trajectory.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Knowledge {
-    /// β: standard deviation of inter-system biases (m); infinite while they are unknown.
-    pub(crate) bias_sigma_m: f64,
+    /// β: scale of the errors of inter-system biases (m); infinite while they are unknown.
+    pub(crate) bias_scale_m: f64,
     /// a: 0 at a start … 1 for a trajectory that has been accepted for a while.
     pub(crate) settled: f64,
 }
@@ -109,7 +112,7 @@ struct Terms {
     /// κ.
     independent: f64,
     /// Σ κ·J if all residuals are zero.
-    least: f64,
+    bound: f64,
 }
 
 /// Residuals and prior knowledge.
@@ -135,9 +138,9 @@ impl<'a> Evidence<'a> {
             for part in equal.chunks(OF_ONE_LOGARITHM) {
                 let (of, independent) = (start..start + part.len(), part[0].independent);
                 let densities = likelihoods[of.clone()].iter().map(|error| error.density(0.0));
-                let least = -independent * densities.product::<f64>().ln();
+                let bound = -independent * densities.product::<f64>().ln();
                 start = of.end;
-                terms.push(Terms { of, independent, least });
+                terms.push(Terms { of, independent, bound });
             }
         }
         Self { pool, noise, knowledge, present, likelihoods, terms }
@@ -159,11 +162,29 @@ impl<'a> Evidence<'a> {
     /// Whether inter-system biases are known, so that a subset determines one clock for all
     /// constellations.
     pub(super) fn shares_clock(&self) -> bool {
-        self.knowledge.bias_sigma_m.is_finite()
+        self.knowledge.bias_scale_m.is_finite()
+    }
+
+    /// Whether the residuals that two hypotheses leave differ so much that these hypotheses can be
+    /// told apart, if signals are as likely direct as before the search.
+    pub(super) fn tells_apart(&self, one: &Offset, other: &Offset) -> bool {
+        let squares = self.pool.iter().map(|pooled| {
+            let error = self.error(pooled);
+            let change = (pooled.left_m(&one.x) - pooled.left_m(&other.x)) / error.sigma_m;
+            pooled.independent * (1.0 - error.reflected) * change * change
+        });
+        TOLD_APART < 0.5 * squares.sum::<f64>()
+    }
+
+    /// The trajectory, with the clock of each constellation.
+    pub(super) fn with_clocks(&self, mut clock_m: impl FnMut(usize) -> f64) -> Offset {
+        let mut x = Unknowns::zeros();
+        self.present().for_each(|system| x[3 + system] = clock_m(system));
+        self.offset(x)
     }
 
     /// The trajectory itself, with the clocks that fit it best.
-    pub(super) fn stands(&self) -> Offset {
+    pub(super) fn trajectory(&self) -> Offset {
         let mut x = Unknowns::zeros();
         self.descend(&mut x, false, |_| true);
         self.offset(x)
@@ -187,18 +208,18 @@ impl<'a> Evidence<'a> {
     }
 
     /// A lower bound of all costs: the cost of a position that leaves no residual.
-    pub(super) fn least_cost(&self) -> f64 {
-        self.terms.iter().map(|terms| terms.least).sum::<f64>() + self.cost_of_noise()
+    pub(super) fn cost_bound(&self) -> f64 {
+        self.terms.iter().map(|terms| terms.bound).sum::<f64>() + self.cost_of_noise()
     }
 
     /// The hypothesis `x`, if it costs less than `enough`.
     pub(super) fn offset_below(&self, x: Unknowns, enough: f64) -> Option<Offset> {
-        let mut cost = self.least_cost() + self.prior_cost(&x);
+        let mut cost = self.cost_bound() + self.prior_cost(&x);
         for terms in &self.terms {
             if enough <= cost {
                 return None;
             }
-            cost += self.loss(terms, &x) - terms.least;
+            cost += self.loss(terms, &x) - terms.bound;
         }
         (cost < enough).then_some(Offset { x, cost, noise: self.noise })
     }
@@ -222,18 +243,21 @@ impl<'a> Evidence<'a> {
 
     /// Cost of the clocks and of the distance from the trajectory.
     fn prior_cost(&self, x: &Unknowns) -> f64 {
-        let Knowledge { bias_sigma_m, settled } = self.knowledge;
-        let mean_m = self.mean_clock_m(x);
-        let biases = self.present().map(|i| 0.5 * ((x[3 + i] - mean_m) / bias_sigma_m).powi(2));
-        let student = |square: f64| 2.0 * (square / (3.0 * SETTLED_M * SETTLED_M)).ln_1p();
-        let moved = student(x[0] * x[0] + x[1] * x[1]) + student(x[2] * x[2]);
-        biases.sum::<f64>() + settled * moved
+        let Knowledge { bias_scale_m, settled } = self.knowledge;
+        let common_m = self.common_clock_m(x);
+        let biases = self.present().map(|i| student((x[3 + i] - common_m) / bias_scale_m));
+        let horizontal = student(x.fixed_rows::<2>(0).norm() / SETTLED_M);
+        biases.sum::<f64>() + settled * (horizontal + student(x[2] / SETTLED_M))
     }
 
-    fn mean_clock_m(&self, x: &Unknowns) -> f64 {
-        let clocks = self.present().map(|i| x[3 + i]);
-        let (sum, count) = clocks.fold((0.0, 0.0), |(sum, n), clock| (sum + clock, n + 1.0));
-        sum / count
+    /// The clock offset that inter-system biases refer to: the median of the constellations'.
+    fn common_clock_m(&self, x: &Unknowns) -> f64 {
+        let (mut clocks, mut count) = ([0.0; Constellation::COUNT], 0);
+        for i in self.present() {
+            clocks[count] = x[3 + i];
+            count += 1;
+        }
+        *clocks[..count.max(1)].select_nth_unstable_by(count / 2, f64::total_cmp).1
     }
 
     /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
@@ -266,14 +290,14 @@ impl<'a> Evidence<'a> {
         // if it does not move, and the clocks of absent constellations.
         const WEAK: f64 = 1e-9;
         const HELD: f64 = 1e12;
-        let bias_sigma_m = self.knowledge.bias_sigma_m;
         let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
         (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
-        let (mean_m, tie) = (self.mean_clock_m(x), bias_sigma_m.powi(-2));
-        for i in 0..Constellation::COUNT {
-            let c = 3 + i;
-            normal[(c, c)] = if self.present[i] { WEAK + tie } else { HELD };
-            right[c] = if self.present[i] { -tie * (x[c] - mean_m) } else { 0.0 };
+        (3..UNKNOWNS).for_each(|c| normal[(c, c)] = HELD);
+        let (common_m, scale_m) = (self.common_clock_m(x), self.knowledge.bias_scale_m);
+        for c in self.present().map(|i| 3 + i) {
+            let since_m = x[c] - common_m;
+            let tie = student_weight(since_m / scale_m) / (scale_m * scale_m);
+            (normal[(c, c)], right[c]) = (WEAK + tie, -tie * since_m);
         }
         for (pooled, error) in self.pool.iter().zip(&self.likelihoods) {
             let at = error.evaluate(pooled.left_m(x));
@@ -292,6 +316,16 @@ impl<'a> Evidence<'a> {
         }
         (normal, right)
     }
+}
+
+/// −ln of Student's t density with three degrees of freedom, up to a constant.
+fn student(z: f64) -> f64 {
+    2.0 * (z * z / 3.0).ln_1p()
+}
+
+/// The weight of a quadratic loss ½wz² with the slope of [`student`].
+fn student_weight(z: f64) -> f64 {
+    4.0 / (3.0 + z * z)
 }
 
 fn error_by(noise: Noise, pooled: &Pooled) -> CodeError {

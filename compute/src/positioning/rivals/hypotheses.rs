@@ -4,23 +4,29 @@
 //! constellation by an offset c. It leaves the residuals s − gᵀd − c, with s = measured − modelled
 //! (m) at the estimate and g = ∂ρ/∂p. Its cost is
 //!
-//! Σ κ·J(s − gᵀd − c) + Σ ½·(c − c̄)²/β² + a·[T(d_h) + T(d_v)]
+//! Σ κ·J(s − gᵀd − c) + Σ T((c − c̄)/β) + a·[T(d_h/10 m) + T(d_v/10 m)]
 //!
 //! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds. The
 //!   noise is either the learnt one, or the one before learning, which costs 3 more. The latter is
 //!   needed because from a wrong position direct signals look like reflections, and the noise that
 //!   was learnt there confirms that position.
 //! - κ: independent fraction of these terms' information; smaller at rest, where multipath repeats.
-//! - β: standard deviation of the graph's inter-system biases; infinite while they are unknown.
-//! - T: −ln of Student's t density with three degrees of freedom and a scale of 10 m. It penalises
-//!   large offsets of a trajectory that has been accepted for a while (a → 1).
+//! - T: −ln of Student's t density with three degrees of freedom. It penalises large offsets of the
+//!   inter-system biases, and those of a trajectory that has been accepted for a while (a → 1). Its
+//!   tails are heavy because biases estimated at a wrong position are as wrong as the position, and
+//!   because receivers step the clock of a constellation.
+//! - β: scale of the errors of inter-system biases; infinite while they are unknown. c̄: the median
+//!   of the constellations' offsets.
 //!
 //! Two hypotheses have the odds exp(−Δcost).
 //!
 //! Candidates are the positions of minimal subsets of satellites, drawn with the probability that
-//! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24). The best ones, and
-//! the trajectory itself, are refined by expectation maximisation. The draws depend on the time of
-//! the epoch only, so that a replay makes the same ones.
+//! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24). The best ones are
+//! refined by expectation maximisation, and so is the trajectory itself, with its own clocks and
+//! with those on which most residuals agree. The draws depend on the time of the epoch only, so
+//! that a replay makes the same ones.
+
+use std::cmp::Ordering;
 
 use nalgebra::{Matrix4, Vector3, Vector4};
 
@@ -36,8 +42,8 @@ const SUBSETS_MAX: usize = 40;
 const DRAWS_MAX: usize = 60;
 /// Number of candidates that are refined.
 const REFINED: usize = 2;
-/// Distances up to which two positions count as the same: horizontal, and vertical, where positions
-/// are half as precise (m).
+/// Distances up to which positions of subsets count as the same: horizontal, and vertical, where
+/// positions are half as precise (m).
 const DISTINCT_M: (f64, f64) = (8.0, 16.0);
 /// Keeps unknowns that no residual determines at zero (1/m²).
 const WEAK: f64 = 1e-10;
@@ -54,9 +60,9 @@ fn are_distinct(by_m: &Vector3<f64>) -> bool {
 pub(crate) enum Rivalry {
     /// The satellites are too few for a redundant position.
     Undetermined,
-    /// There is no candidate at another position, or none can reach the required odds.
+    /// There is no other candidate, or none can reach the required odds.
     Unrivalled,
-    /// The likeliest candidate at another position.
+    /// The likeliest candidate that is distinct from the trajectory.
     Rival {
         /// Its offset from the estimated trajectory.
         offset: Offset,
@@ -65,43 +71,45 @@ pub(crate) enum Rivalry {
     },
 }
 
-/// Searches for the likeliest position that is distinct from the trajectory. The search is skipped
-/// if no position can have log odds of `least`. `seed` determines the draws.
-pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, least: f64, seed: u64) -> Rivalry {
+/// Searches for the likeliest hypothesis that is distinct from the trajectory, if any can have log
+/// odds of `wanted`. `seed` determines the draws.
+pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, wanted: f64, seed: u64) -> Rivalry {
     let learnt = Evidence::new(pool, Noise::Learnt, knowledge);
     if satellites(pool) < 3 + clocks(&learnt) + 1 {
         return Rivalry::Undetermined;
     }
-    let by_learnt = learnt.stands();
-    let has_learnt = pool.iter().any(|pooled| pooled.error != pooled.before_learning);
-    let other = has_learnt.then(|| Evidence::new(pool, Noise::BeforeLearning, knowledge));
-    // If each of its costs is higher, it neither lowers the trajectory's cost nor gives a rival.
-    let other = other.filter(|other| least.min(0.0) <= by_learnt.cost() - other.least_cost());
-    let least_cost = other.iter().map(Evidence::least_cost).fold(learnt.least_cost(), f64::min);
-    if by_learnt.cost() - least_cost < least {
-        return Rivalry::Unrivalled;
+    let mut models = vec![(learnt.trajectory(), learnt)];
+    if pool.iter().any(|pooled| pooled.error != pooled.before_learning) {
+        let before = Evidence::new(pool, Noise::BeforeLearning, knowledge);
+        models.push((before.trajectory(), before));
     }
-    let by_other = other.as_ref().map(|other| (other, other.stands()));
-    let costs = by_other.iter().map(|(_, stands)| stands.cost());
-    let stands_cost = costs.fold(by_learnt.cost(), f64::min);
-    let can_rival = |evidence: &Evidence<'_>| least <= stands_cost - evidence.least_cost();
-    let by_noise = std::iter::once((&learnt, by_learnt)).chain(by_other);
-    let by_noise = by_noise.filter(|(evidence, _)| can_rival(evidence));
-    let rivals = by_noise.filter_map(|(evidence, stands)| best_elsewhere(evidence, &stands, seed));
-    match rivals.min_by(|a, b| a.cost().total_cmp(&b.cost())) {
-        Some(offset) => Rivalry::Rival { offset, log_odds: stands_cost - offset.cost() },
+    let costs = models.iter().map(|(trajectory, _)| trajectory.cost());
+    let cost = costs.fold(f64::INFINITY, f64::min);
+    models.retain(|(_, evidence)| wanted <= cost - evidence.cost_bound());
+    let search = |(trajectory, evidence): &_| best_elsewhere(evidence, trajectory, seed);
+    match models.iter().filter_map(search).min_by(by_cost) {
+        Some(offset) => Rivalry::Rival { offset, log_odds: cost - offset.cost() },
         None => Rivalry::Unrivalled,
     }
 }
 
-/// The likeliest position that is distinct from `stands`, the trajectory with its best clocks.
-fn best_elsewhere(evidence: &Evidence<'_>, stands: &Offset, seed: u64) -> Option<Offset> {
-    let from_subsets = Search::new(evidence, seed).candidates().into_iter();
-    // A candidate that comes near the trajectory would converge to the same position as `near`.
+/// The likeliest hypothesis that is distinct from `trajectory`, that with its best clocks.
+fn best_elsewhere(evidence: &Evidence<'_>, trajectory: &Offset, seed: u64) -> Option<Offset> {
+    let mut search = Search::new(evidence, seed);
+    let from_subsets = search.candidates().into_iter();
+    // A candidate that comes near the trajectory would converge to a minimum of `near`.
     let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_distinct));
-    let near = [evidence.refine(stands)];
-    let elsewhere = far.chain(near).filter(|offset| are_distinct(&offset.position_m()));
-    elsewhere.min_by(|a, b| a.cost().total_cmp(&b.cost()))
+    let far = far.filter(|offset| are_distinct(&offset.position_m()));
+    // A known clock that has stepped makes a minimum of its own.
+    let mut agreed_m = |system| search.late_clock_m(system, &Unknowns::zeros());
+    let stepped = evidence.shares_clock().then(|| evidence.with_clocks(&mut agreed_m));
+    let near = stepped.iter().chain([trajectory]).map(|start| evidence.refine(start));
+    let near = near.filter(|offset| evidence.tells_apart(offset, trajectory));
+    far.chain(near).min_by(by_cost)
+}
+
+fn by_cost(a: &Offset, b: &Offset) -> Ordering {
+    a.cost().total_cmp(&b.cost())
 }
 
 fn satellites(pool: &[Pooled]) -> usize {
@@ -153,9 +161,11 @@ impl<'a> Search<'a> {
     /// other, best first.
     fn candidates(&mut self) -> Vec<Offset> {
         let mut best: Vec<Offset> = Vec::with_capacity(REFINED + 1);
-        for _ in 0..self.subsets {
-            self.draw();
-            let Some(x) = self.solved() else { continue };
+        for subset in 0..self.subsets {
+            // Biases that were estimated at a wrong position are as wrong as it is.
+            let shares_clock = self.evidence.shares_clock() && subset.is_multiple_of(2);
+            self.draw(shares_clock);
+            let Some(x) = self.solved(shares_clock) else { continue };
             let enough = best.get(REFINED - 1).map_or(f64::INFINITY, Offset::cost);
             if let Some(offset) = self.evidence.offset_below(x, enough) {
                 keep_best(&mut best, offset);
@@ -165,8 +175,8 @@ impl<'a> Search<'a> {
     }
 
     /// Draws residuals of different satellites until they determine a position and their clocks.
-    fn draw(&mut self) {
-        let (pool, shares_clock) = (self.evidence.pool(), self.evidence.shares_clock());
+    fn draw(&mut self, shares_clock: bool) {
+        let pool = self.evidence.pool();
         let total = self.directs.last().copied().unwrap_or(0.0);
         let mut drawn = [false; Constellation::COUNT];
         self.subset.clear();
@@ -187,8 +197,7 @@ impl<'a> Search<'a> {
 
     /// The offset that leaves no residual in the subset, if its position is distinct from the
     /// trajectory and within reach.
-    fn solved(&mut self) -> Option<Unknowns> {
-        let shares_clock = self.evidence.shares_clock();
+    fn solved(&mut self, shares_clock: bool) -> Option<Unknowns> {
         let (mut x, drawn) = match shares_clock {
             true => (self.with_one_clock()?, [true; Constellation::COUNT]),
             false => self.with_own_clocks()?,
@@ -268,7 +277,7 @@ mod tests {
     use crate::positioning::code_error::CodeError;
 
     const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
-    const KNOWN: Knowledge = Knowledge { bias_sigma_m: 6.0, settled: 0.0 };
+    const KNOWN: Knowledge = Knowledge { bias_scale_m: 6.0, settled: 0.0 };
 
     /// Residuals of twelve satellites on a trajectory that is wrong by `off`. The pseudoranges of
     /// `late` are reflections, 45 m too long.
@@ -307,8 +316,8 @@ mod tests {
     #[test]
     fn a_trajectory_that_is_off_has_a_likelier_rival_where_the_truth_is() {
         let off = Vector3::new(40.0, -25.0, 30.0);
-        for bias_sigma_m in [6.0, f64::INFINITY] {
-            let knowledge = Knowledge { bias_sigma_m, ..KNOWN };
+        for bias_scale_m in [6.0, f64::INFINITY] {
+            let knowledge = Knowledge { bias_scale_m, ..KNOWN };
             let (offset, log_odds) = found(&pool(off, &[0, 5, 9]), knowledge);
             assert!(20.0 < log_odds, "{log_odds}");
             assert!((offset.position_m() + off).norm() < 3.0, "{offset:?}");
@@ -349,6 +358,60 @@ mod tests {
         let (offset, log_odds) = found(&with_prior(KNOWN_NOISE), KNOWN);
         assert!(learnt_alone < 5.0 && 10.0 < log_odds, "{learnt_alone} {log_odds}");
         assert!(offset.is_before_learning() && (offset.position_m() + off).norm() < 3.0);
+    }
+
+    /// The estimate has followed reflections to a position 200 m too high, and Galileo's bias with
+    /// it: there it is 90 m off. The costs of such a bias are 2·ln(1 + 15²/3) = 8.7; those of a
+    /// normal error would be 112.
+    #[test]
+    fn biases_estimated_at_a_wrong_position_are_left_with_it() {
+        let off = Vector3::new(40.0, -25.0, 200.0);
+        let mut pool = pool(off, &[0, 5, 9]);
+        shift_galileo(&mut pool, -90.0);
+        let (offset, log_odds) = found(&pool, KNOWN);
+        assert!(10.0 < log_odds, "{log_odds}");
+        assert!((offset.position_m() + off).norm() < 3.0, "{offset:?}");
+        assert!((galileo_minus_gps_m(&offset) + 90.0).abs() < 3.0, "{offset:?}");
+    }
+
+    /// The receiver's clock for Galileo steps by 60 m. The position stays.
+    #[test]
+    fn a_clock_that_steps_is_followed_at_the_same_position() {
+        for step_m in [60.0, -60.0] {
+            let mut pool = pool(Vector3::zeros(), &[1, 6]);
+            shift_galileo(&mut pool, step_m);
+            let (offset, log_odds) = found(&pool, KNOWN);
+            assert!(10.0 < log_odds, "{log_odds}");
+            assert!(offset.position_m().norm() < 3.0, "{offset:?}");
+            assert!((galileo_minus_gps_m(&offset) - step_m).abs() < 3.0, "{offset:?}");
+        }
+    }
+
+    /// A position 5 m off is a rival of precise pseudoranges, not of noisy ones.
+    #[test]
+    fn precise_pseudoranges_tell_near_positions_apart() {
+        let off = Vector3::new(3.0, 0.0, -4.0);
+        let with_sigma = |sigma_m| {
+            let error = CodeError { sigma_m, ..KNOWN_NOISE };
+            let precise = |pooled| Pooled { error, before_learning: error, ..pooled };
+            pool(off, &[]).into_iter().map(precise).collect::<Vec<_>>()
+        };
+        let (offset, log_odds) = found(&with_sigma(0.5), KNOWN);
+        assert!(10.0 < log_odds && (offset.position_m() + off).norm() < 0.5, "{offset:?}");
+        match rivalry(&with_sigma(4.0), KNOWN, f64::NEG_INFINITY, 7) {
+            Rivalry::Rival { log_odds, .. } => assert!(log_odds < 0.0, "{log_odds}"),
+            other => assert!(matches!(other, Rivalry::Unrivalled), "{other:?}"),
+        }
+    }
+
+    fn shift_galileo(pool: &mut [Pooled], by_m: f64) {
+        let galileo =
+            |pooled: &&mut Pooled| pooled.satellite.constellation == Constellation::Galileo;
+        pool.iter_mut().filter(galileo).for_each(|pooled| pooled.residual_m += by_m);
+    }
+
+    fn galileo_minus_gps_m(offset: &Offset) -> f64 {
+        offset.clock_m(Constellation::Galileo) - offset.clock_m(Constellation::Gps)
     }
 
     #[test]

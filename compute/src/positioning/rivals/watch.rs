@@ -37,8 +37,8 @@ const SETTLING_S: f64 = 30.0;
 const OF_ONE_POOL: f64 = 0.633;
 /// Log odds above which the window moves: at a start, and from a settled position (nats).
 const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);
-/// Standard deviation of the inter-system biases of a settled window (m).
-const BIAS_SIGMA_M: f64 = 6.0;
+/// Scale of the errors of the inter-system biases of a settled window (m).
+const BIAS_SCALE_M: f64 = 6.0;
 /// Log odds against the likeliest rival that prove a position: 99 : 1 (nats).
 const PROVEN_LOG_ODDS: f64 = 4.6;
 
@@ -120,7 +120,7 @@ impl Watch {
         &self.departed
     }
 
-    /// Starts at a position that is known.
+    /// Starts at a position that is known: as settled as one accepted for a minute.
     pub(crate) fn settle(&mut self, now: GpsTime) {
         self.forget();
         self.settling = Some(now - (FILLING_S + SETTLING_S));
@@ -133,10 +133,10 @@ impl Watch {
         self.earlier.iter_mut().for_each(Vec::clear);
     }
 
-    /// Standard deviation of inter-system biases at `now` (m); infinite until the position is
+    /// Scale of the errors of inter-system biases at `now` (m); infinite until the position is
     /// settled.
-    pub(crate) fn bias_sigma_m(&self, now: GpsTime) -> f64 {
-        if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SIGMA_M }
+    pub(crate) fn bias_scale_m(&self, now: GpsTime) -> f64 {
+        if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SCALE_M }
     }
 
     /// How settled the position is: 0 at a start … 1.
@@ -167,12 +167,12 @@ impl Watch {
         let mut pool = self.pool_with(now, window);
         pool.iter_mut().for_each(|pooled| pooled.independent *= OF_ONE_POOL);
         let settled = self.settled(now);
-        let knowledge = Knowledge { bias_sigma_m: self.bias_sigma_m(now), settled };
+        let knowledge = Knowledge { bias_scale_m: self.bias_scale_m(now), settled };
         let seed = now.as_ns() as u64;
         let (at_start, when_settled) = MOVE_LOG_ODDS;
         let threshold = at_start + (when_settled - at_start) * settled;
-        let least = if unproven_s.is_none() { threshold } else { -PROVEN_LOG_ODDS };
-        match hypotheses::rivalry(&pool, knowledge, least, seed) {
+        let wanted = if unproven_s.is_none() { threshold } else { -PROVEN_LOG_ODDS };
+        match hypotheses::rivalry(&pool, knowledge, wanted, seed) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
             _ if unproven_s.is_none_or(|age_s| age_s < POOL_S) => Verdict::Open,
