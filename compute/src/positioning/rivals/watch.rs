@@ -6,9 +6,10 @@
 //! positions ([`hypotheses`]): the residuals of the present window, and of two pools before it.
 //!
 //! The window moves to another position if that position's log odds exceed a threshold. After a
-//! start or an outage the threshold is 1 nat until the pools are full, and rises in the half minute
-//! after that to 10 nats (odds of 22,000 : 1). It is this high because a search every two seconds
-//! makes about 1,800 decisions an hour.
+//! start or an outage the threshold is 1 nat. Once the pools are full it rises by every search that
+//! finds no possible other position, within half a minute of such searches to 10 nats (odds of
+//! 22,000 : 1). It is this high because a search every two seconds makes about 1,800 decisions an
+//! hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::{snapshot_fields, state_fields};
@@ -29,7 +30,8 @@ const OUTAGE_S: f64 = 10.0;
 /// Time after a start in which the position does not settle (s): some of the three pools are then
 /// still empty.
 const FILLING_S: f64 = 3.0 * POOL_S;
-/// Time from then on until the position counts as settled (s).
+/// Time for which no other position may be possible, from then on, until the position counts as
+/// settled (s).
 const SETTLING_S: f64 = 30.0;
 /// Number of independent errors of a satellite in one pool, if the errors of successive pools have
 /// the correlation 1/e and there are three pools: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946).
@@ -79,10 +81,12 @@ pub(crate) struct Watch {
     /// Time of the last search.
     searched: Option<GpsTime>,
     /// Time of the last start.
-    settling: Option<GpsTime>,
+    started: Option<GpsTime>,
+    /// a: how settled the position is, 0 at a start … 1.
+    settled: f64,
 }
 
-state_fields!(Watch { departed, departing_share, earlier, pooled, searched, settling });
+state_fields!(Watch { departed, departing_share, earlier, pooled, searched, started, settled });
 
 impl Watch {
     /// Records an epoch at `now`, `interval_s` after the previous one; returns whether a search is
@@ -90,7 +94,8 @@ impl Watch {
     pub(crate) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
         if interval_s.is_none_or(|interval_s| OUTAGE_S < interval_s) {
             self.forget();
-            (self.settling, self.pooled, self.searched) = (Some(now), Some(now), None);
+            (self.started, self.pooled, self.searched) = (Some(now), Some(now), None);
+            self.settled = 0.0;
         }
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
@@ -123,8 +128,9 @@ impl Watch {
     /// Starts at a position that is known: as settled as one accepted for a minute.
     pub(crate) fn settle(&mut self, now: GpsTime) {
         self.forget();
-        self.settling = Some(now - (FILLING_S + SETTLING_S));
+        self.started = Some(now - (FILLING_S + SETTLING_S));
         (self.pooled, self.searched) = (Some(now), Some(now));
+        self.settled = 1.0;
     }
 
     /// Forgets all residuals.
@@ -133,20 +139,14 @@ impl Watch {
         self.earlier.iter_mut().for_each(Vec::clear);
     }
 
-    /// Scale of the errors of inter-system biases at `now` (m); infinite until the position is
-    /// settled.
+    /// Scale of the errors of inter-system biases at `now` (m); infinite in the first minute.
     pub(crate) fn bias_scale_m(&self, now: GpsTime) -> f64 {
-        if self.settled(now) < 1.0 { f64::INFINITY } else { BIAS_SCALE_M }
-    }
-
-    /// How settled the position is: 0 at a start … 1.
-    fn settled(&self, now: GpsTime) -> f64 {
-        ((self.age_s(now) - FILLING_S) / SETTLING_S).clamp(0.0, 1.0)
+        if self.age_s(now) < FILLING_S + SETTLING_S { f64::INFINITY } else { BIAS_SCALE_M }
     }
 
     /// Time since the last start or outage (s).
     pub(crate) fn age_s(&self, now: GpsTime) -> f64 {
-        self.settling.map_or(0.0, |settling| now - settling)
+        self.started.map_or(0.0, |started| now - started)
     }
 
     /// Length of the window's residuals that are in no pool yet (s).
@@ -155,29 +155,35 @@ impl Watch {
     }
 
     /// Judges the position by the earlier pools and by the window's residuals, pooled over
-    /// [`Self::unpooled_s`]. `unproven_s` is the age of a start that is not proven yet. If it is
-    /// `None`, the search is only for a position to move to.
+    /// [`Self::unpooled_s`]. `unproven_s` is the age of a start that is not proven yet. If there is
+    /// none and the position is settled, the search is only for a position to move to.
     pub(crate) fn judge(
         &mut self,
         now: GpsTime,
         window: &[Pooled],
         unproven_s: Option<f64>,
     ) -> Verdict {
+        let since_s = self.searched.map_or(0.0, |searched| now - searched);
         self.searched = Some(now);
         let mut pool = self.pool_with(now, window);
         pool.iter_mut().for_each(|pooled| pooled.independent *= OF_ONE_POOL);
-        let settled = self.settled(now);
+        let settled = self.settled;
         let knowledge = Knowledge { bias_scale_m: self.bias_scale_m(now), settled };
-        let seed = now.as_ns() as u64;
         let (at_start, when_settled) = MOVE_LOG_ODDS;
         let threshold = at_start + (when_settled - at_start) * settled;
-        let wanted = if unproven_s.is_none() { threshold } else { -PROVEN_LOG_ODDS };
-        match hypotheses::rivalry(&pool, knowledge, wanted, seed) {
+        let is_doubted = settled < 1.0 || unproven_s.is_some();
+        let wanted = if is_doubted { -PROVEN_LOG_ODDS } else { threshold };
+        match hypotheses::rivalry(&pool, knowledge, wanted, now.as_ns() as u64) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
-            _ if unproven_s.is_none_or(|age_s| age_s < POOL_S) => Verdict::Open,
-            Rivalry::Rival { .. } | Rivalry::Unrivalled => Verdict::Proven,
             Rivalry::Undetermined => Verdict::Open,
+            Rivalry::Rival { .. } | Rivalry::Unrivalled => {
+                if FILLING_S <= self.age_s(now) {
+                    self.settled = (settled + since_s / SETTLING_S).min(1.0);
+                }
+                let is_early = unproven_s.is_some_and(|age_s| age_s < POOL_S);
+                if is_early { Verdict::Open } else { Verdict::Proven }
+            }
         }
     }
 
@@ -223,6 +229,36 @@ mod tests {
             before_learning: error,
             independent: 1.0,
         }
+    }
+
+    /// Two positions explain the residuals equally well: the trajectory, and one that is 60 m away.
+    /// As long as this is so the trajectory does not settle.
+    #[test]
+    fn a_position_settles_only_while_no_other_is_possible() {
+        let error = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
+        let off = Vector3::new(60.0, 0.0, 0.0);
+        let pool = |is_ambiguous: bool| {
+            let pooled = |index: u32| {
+                let (sine, cosine) = (2.4 * f64::from(index)).sin_cos();
+                let slope = -Vector3::new(0.7 * sine, 0.7 * cosine, 0.4 + 0.04 * f64::from(index));
+                let of_other = is_ambiguous && index.is_multiple_of(2);
+                let residual_m = if of_other { slope.dot(&off) } else { 0.0 };
+                let satellite = format!("G{:02}", index + 1).parse().unwrap();
+                Pooled { satellite, slope, residual_m, error, ..pooled(0.0) }
+            };
+            (0..12).map(pooled).collect::<Vec<_>>()
+        };
+        let settled_after = |is_ambiguous: bool| {
+            let (mut watch, pool) = (Watch::default(), pool(is_ambiguous));
+            for second in (0..90).step_by(2) {
+                let now = GpsTime::EPOCH + f64::from(second);
+                let interval_s = (second != 0).then_some(2.0);
+                assert!(watch.is_due(now, interval_s));
+                watch.judge(now, &pool, None);
+            }
+            watch.settled
+        };
+        assert_eq!((settled_after(false), settled_after(true)), (1.0, 0.0));
     }
 
     /// Every two seconds a search, every ten a pool: each search has the window and the last two
