@@ -5,8 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use crate::gnss::{Ephemeris, LeapSeconds, Navigation};
+use crate::store::TENANT_PREFIX;
 
-use super::trust::{Issue, TENANT_PREFIX, agree, contradict, issue};
+use super::trust::{Issue, agree, contradict, issue};
 
 /// Most ephemerides of one device. A receiver of all constellations decodes some 40 an hour.
 const OF_DEVICE_MAX: usize = 256;

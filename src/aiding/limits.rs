@@ -6,8 +6,10 @@ pub struct AidingLimits {
     /// Ephemerides in force per satellite. Above this number, the oldest by `toe` are dropped, but
     /// none of the same push.
     pub ephemerides_per_satellite: usize,
-    /// Superseded ephemerides that are stored for replay. Above this number, the oldest are
-    /// deleted.
+    /// Superseded ephemerides of each account that are stored for replay: of those that serve all
+    /// sessions, of those of the operator's devices, and of those of each other tenant. Above this
+    /// number, the oldest of the account are deleted. As many superseded ionosphere coefficients
+    /// and leap seconds are stored.
     pub superseded_ephemerides: usize,
     /// Number of bases.
     pub bases: usize,

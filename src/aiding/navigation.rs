@@ -8,8 +8,9 @@ use tokio::sync::{Mutex, OwnedMutexGuard};
 use crate::clock::unix_ms;
 use crate::gnss::{Ephemeris, GpsTime, LeapSeconds, Navigation, SatelliteId};
 use crate::models::{is_usable, validity_s};
-use crate::store::{NavigationChange, Store, StoreError, StoredNavigation, owner_of};
+use crate::store::{NavigationChange, Store, StoreError, StoredNavigation, account_of, owner_of};
 
+use super::devices::coefficients;
 use super::past::PastStates;
 use super::state::{Part, PushedNavigation, State};
 use super::trust::{Trust, trust};
@@ -78,9 +79,9 @@ const ATTEMPTS: usize = 20;
 struct Pushing {
     /// The last push failed. It may be stored although the memory does not contain it.
     is_unconfirmed: bool,
-    /// Number of ephemerides that may end before the superseded ones are counted again. The
-    /// database must read all of them to count.
-    room: usize,
+    /// Number of rows of each account that may end before the superseded ones are counted again.
+    /// The database must read all of them to count.
+    room: BTreeMap<String, usize>,
 }
 
 /// The desk for broadcast navigation data. All clones share the same data.
@@ -227,7 +228,11 @@ impl NavigationBroker {
     /// Stores a part of a push, and then adds it to the data in memory. Returns `false`, and stores
     /// nothing, if the store has a push after the last one in memory: of another node, or one whose
     /// commit was not confirmed.
-    async fn commit(&self, part: Part, room: &mut usize) -> Result<bool, AidingError> {
+    async fn commit(
+        &self,
+        part: Part,
+        room: &mut BTreeMap<String, usize>,
+    ) -> Result<bool, AidingError> {
         let stored_unix_ms = unix_ms();
         let new: Vec<Ephemeris> =
             part.new.satellites().flat_map(|(_, list)| list.iter().cloned()).collect();
@@ -236,8 +241,12 @@ impl NavigationBroker {
         let ended: Vec<(&str, &Ephemeris)> = shared.chain(owned).collect();
         let ended_coefficients: Vec<(&str, &Navigation)> =
             part.ended_coefficients.iter().map(|(owner, ended)| (owner_of(owner), ended)).collect();
-        let (limit, ending) = (self.limits.superseded_ephemerides, new.len() + ended.len());
-        let is_looked_at = *room < ending;
+        let limit = self.limits.superseded_ephemerides;
+        let ending = ending_by_account(&part, new.len());
+        let is_counted =
+            |account: &str, count: usize| room.get(account).copied().unwrap_or(0) < count;
+        let counted = ending.iter().filter(|(account, count)| is_counted(account, **count));
+        let counted: Vec<&str> = counted.map(|(account, _)| account.as_str()).collect();
         let change = NavigationChange {
             after: self.read().push,
             new: &new,
@@ -246,10 +255,14 @@ impl NavigationBroker {
             ended_coefficients: &ended_coefficients,
             source: &part.source,
             stored_unix_ms,
-            superseded_limit: is_looked_at.then_some(limit - limit / ROOM),
+            counted_accounts: &counted,
+            superseded_limit: limit - limit / ROOM,
         };
         let Some(push) = self.store.push_navigation(&change).await? else { return Ok(false) };
-        *room = if is_looked_at { limit / ROOM } else { *room - ending };
+        for (account, count) in &ending {
+            let left = room.entry(account.clone()).or_default();
+            *left = left.checked_sub(*count).unwrap_or(limit / ROOM);
+        }
         if trust(&part.source) != Trust::Device {
             let mut sources = self.sources.write().unwrap_or_else(PoisonError::into_inner);
             for ephemeris in &new {
@@ -299,6 +312,21 @@ impl NavigationBroker {
     fn read(&self) -> RwLockReadGuard<'_, State> {
         read(&self.state)
     }
+}
+
+/// Most rows that a part supersedes, by their account.
+fn ending_by_account(part: &Part, new: usize) -> BTreeMap<String, usize> {
+    let kinds = |navigation: &Navigation| coefficients(navigation).iter().flatten().count();
+    let ended_owned = part.ended_owned.iter().map(|(owner, _)| (&**owner, 1));
+    let ended_kinds = part.ended_coefficients.iter();
+    let ended_kinds = ended_kinds.map(|(owner, ended)| (&**owner, kinds(ended)));
+    let replaced = (&*part.source, new + kinds(&part.new));
+    let ending = [replaced, ("", part.ended.len())].into_iter().chain(ended_owned);
+    let mut accounts = BTreeMap::new();
+    for (owner, count) in ending.chain(ended_kinds).filter(|(_, count)| 0 < *count) {
+        *accounts.entry(account_of(owner).to_owned()).or_default() += count;
+    }
+    accounts
 }
 
 /// The sources of each satellite's newest ephemeris that serves all sessions.

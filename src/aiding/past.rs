@@ -12,7 +12,9 @@ use std::sync::{Arc, PoisonError, RwLock};
 use tokio::sync::Mutex;
 
 use crate::gnss::{Ephemeris, Navigation, SatelliteId};
-use crate::store::{NavigationDifference, Store, StoreError, StoredCoefficients, StoredEphemeris};
+use crate::store::{
+    NavigationDifference, Store, StoreError, StoredCoefficients, StoredEphemeris, account_of,
+};
 
 use super::devices::remove_coefficients;
 use super::shared::Shared;
@@ -52,6 +54,8 @@ struct PastState {
     shared: Shared,
     /// The data that serve only the session of each device.
     devices: [Arc<BTreeMap<Arc<str>, Navigation>>; MAPS],
+    /// Accounts of which some data are unknown, because they are no longer stored.
+    incomplete: BTreeSet<String>,
 }
 
 impl PastStates {
@@ -66,16 +70,20 @@ impl PastStates {
         store: &Store,
         current: &RwLock<State>,
     ) -> Result<PushedNavigation, StoreError> {
-        let mut known = self.known.lock().await;
-        if let Some((state, _)) = known.states.get(&push) {
+        let (mut known, account) = (self.known.lock().await, account_of(device));
+        let state = known.states.get(&push).map(|(state, _)| state);
+        if let Some(state) = state.filter(|state| state.is_complete_for(account)) {
             return Ok(state.pushed_for(device));
         }
-        let nearest = known.nearest(push, current);
-        let (state, bytes) = match store.navigation_difference(nearest.push, push).await? {
+        let nearest = known.nearest(push, account, current);
+        let difference = store.navigation_difference(nearest.push, push, account).await?;
+        let (state, bytes) = match difference {
             Some(difference) => nearest.changed(push, difference),
             // Some rows of the difference are no longer stored.
             None => {
-                let state = PastState::of(&State::of(store.navigation_after(push).await?));
+                let (stored, incomplete) = store.navigation_after(push, account).await?;
+                let mut state = PastState::of(&State::of(stored));
+                state.incomplete.extend(incomplete);
                 let ephemerides = state.shared.navigation.len();
                 (state, ephemerides * EPHEMERIS)
             }
@@ -87,10 +95,13 @@ impl PastStates {
 }
 
 impl Known {
-    /// The known state, or the present one, that is nearest to a push.
-    fn nearest(&mut self, push: u64, current: &RwLock<State>) -> Arc<PastState> {
-        let before = self.states.range(..push).next_back();
-        let after = self.states.range(push..).next();
+    /// The known state, or the present one, that is nearest to a push, of those that are complete
+    /// for sessions of an account.
+    fn nearest(&mut self, push: u64, account: &str, current: &RwLock<State>) -> Arc<PastState> {
+        let is_complete =
+            |(_, (state, _)): &(&u64, &(Arc<PastState>, usize))| state.is_complete_for(account);
+        let before = self.states.range(..push).rev().find(is_complete);
+        let after = self.states.range(push..).find(is_complete);
         let distance = |state: &Arc<PastState>| state.push.abs_diff(push);
         let near = before.into_iter().chain(after).map(|(_, (state, _))| state);
         let near = near.min_by_key(|state| distance(state)).cloned();
@@ -108,9 +119,10 @@ impl Known {
     /// Adds a state. The oldest states are removed to make room.
     fn insert(&mut self, state: Arc<PastState>, bytes: usize) {
         let (push, bytes) = (state.push, OVERHEAD + bytes);
-        if self.states.insert(push, (state, bytes)).is_none() {
-            self.order.push_back(push);
-            self.bytes += bytes;
+        self.bytes += bytes;
+        match self.states.insert(push, (state, bytes)) {
+            None => self.order.push_back(push),
+            Some((_, replaced)) => self.bytes -= replaced,
         }
         while BYTES_MAX < self.bytes && 1 < self.order.len() {
             let oldest = self.order.pop_front().and_then(|push| self.states.remove(&push));
@@ -125,12 +137,18 @@ impl PastState {
             push: state.push,
             shared: state.shared.clone(),
             devices: std::array::from_fn(|_| Arc::default()),
+            incomplete: BTreeSet::new(),
         };
         for (device, own) in state.devices.all() {
             let map = Arc::make_mut(&mut past.devices[map_of(device)]);
             map.insert(device.clone(), own.clone());
         }
         past
+    }
+
+    /// Whether all data for sessions of an account are known.
+    fn is_complete_for(&self, account: &str) -> bool {
+        !self.incomplete.contains(account)
     }
 
     fn pushed_for(&self, device: &str) -> PushedNavigation {
@@ -142,8 +160,9 @@ impl PastState {
 
     /// The state after another push, and the memory that it does not share with this one.
     fn changed(&self, push: u64, difference: NavigationDifference) -> (Self, usize) {
-        let NavigationDifference { ended, begun } = difference;
+        let NavigationDifference { ended, begun, incomplete } = difference;
         let mut state = Self { push, ..self.clone() };
+        state.incomplete.extend(incomplete);
         let (mut satellites, mut devices) = (BTreeSet::new(), BTreeSet::new());
         for row in ended.ephemerides.iter().chain(&begun.ephemerides) {
             match trust(&row.source) {

@@ -15,7 +15,7 @@ use crate::gnss::{
     Ephemeris, GpsTime, GroupDelays, NO_PREDICTION_M, NavigationMessage, SatelliteId,
 };
 use crate::models::{satellite_state, validity_s};
-use crate::store::OWNER_PREFIX;
+use crate::store::{OWNER_PREFIX, TENANT_PREFIX};
 use crate::tenant::Tenant;
 
 /// Source of uploaded files, as the navigation status names it.
@@ -24,8 +24,6 @@ pub const UPLOAD: &str = "upload";
 pub const AGREED: &str = "agreed";
 /// Prefix of the sources that are streams of bases.
 pub(crate) const OF_BASE: &str = "base ";
-/// Prefix of the sources that are tenants. The name of the tenant follows.
-pub(super) const TENANT_PREFIX: &str = "device tenant ";
 /// Source of the data of devices in earlier versions, which served all sessions at once.
 const DEVICE_OF_EARLIER_VERSIONS: &str = "device";
 /// Two ephemerides contradict each other if the satellite's positions or clocks by them differ by

@@ -36,6 +36,7 @@ mod keys;
 mod lease;
 mod named_requests;
 mod navigation;
+mod navigation_accounts;
 mod nodes;
 mod notices;
 mod page;
@@ -90,11 +91,12 @@ pub use jobs::{
 pub use keys::{KeyRow, NewKeyRow};
 pub(crate) use named_requests::Created;
 pub use named_requests::NamedRequest;
+pub(crate) use navigation::owner_of;
 pub use navigation::{
     NavigationChange, NavigationDifference, NavigationRows, StoredCoefficients, StoredEphemeris,
     StoredNavigation,
 };
-pub(crate) use navigation::{OWNER_PREFIX, owner_of};
+pub(crate) use navigation_accounts::{OWNER_PREFIX, TENANT_PREFIX, account_of};
 pub use nodes::NodeRow;
 pub(crate) use nodes::{Claim, NODE_LEASE};
 pub(crate) use notices::{Change, Notices};

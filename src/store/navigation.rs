@@ -7,6 +7,7 @@ use crate::gnss::{
 use super::codec::{
     NavigationRecord, decode_ephemeris, decode_record, encode_ephemeris, encode_record,
 };
+use super::navigation_accounts::{OWNER_PREFIX, account_of, forget_superseded};
 use super::notices::{Change as Changed, notify};
 use super::pool::{reading, writing};
 use super::{Store, StoreError};
@@ -58,10 +59,9 @@ pub struct NavigationDifference {
     pub ended: NavigationRows,
     /// In force after push `to`, but not after push `from`.
     pub begun: NavigationRows,
+    /// Accounts of which some of the difference is no longer stored.
+    pub incomplete: Vec<String>,
 }
-
-/// Prefix of the sources that own their data. Such data serve only their owner.
-pub(crate) const OWNER_PREFIX: &str = "device ";
 
 /// The changes of one push. Data have an owner: the source itself if its name begins with
 /// `device `, otherwise the service, whose name is empty.
@@ -81,8 +81,10 @@ pub struct NavigationChange<'a> {
     pub source: &'a str,
     /// Time of the push (ms since 1970-01-01 UTC).
     pub stored_unix_ms: i64,
-    /// Number of superseded ephemerides that stay stored for replay; `None` to keep all.
-    pub superseded_limit: Option<usize>,
+    /// Accounts whose superseded data are counted, and removed beyond the limit.
+    pub counted_accounts: &'a [&'a str],
+    /// Number of superseded ephemerides of one account that stay stored for replay.
+    pub superseded_limit: usize,
 }
 
 const NEXT_PUSH: &str =
@@ -91,21 +93,12 @@ const END_EPHEMERIS: &str = "UPDATE ephemerides SET until = $1
     WHERE satellite = $2 AND toe_ns = $3 AND message = $4 AND toc_ns = $5 AND issue = $6
     AND (source = $7 OR ($7 = '' AND source NOT LIKE 'device %')) AND until IS NULL";
 const INSERT_EPHEMERIS: &str = "INSERT INTO ephemerides
-    (since, satellite, toe_ns, message, toc_ns, issue, source, stored_unix_ms, content)
-    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9)";
+    (since, satellite, toe_ns, message, toc_ns, issue, source, stored_unix_ms, content, account)
+    VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
 const END_RECORD: &str = "UPDATE navigation_records SET until = $1 WHERE kind = $2
     AND (source = $3 OR ($3 = '' AND source NOT LIKE 'device %')) AND until IS NULL";
 const INSERT_RECORD: &str = "INSERT INTO navigation_records
-    (since, kind, source, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
-/// Selects the push that ended the newest ephemeris beyond the limit.
-const SURPLUS: &str = "SELECT until FROM ephemerides WHERE until IS NOT NULL
-    ORDER BY until DESC LIMIT 1 OFFSET $1";
-/// Deletes the ephemerides that ended at this push or before.
-const FORGET: [&str; 3] = [
-    "DELETE FROM ephemerides WHERE until <= $1",
-    "DELETE FROM navigation_records WHERE until <= $1",
-    "UPDATE navigation_pushes SET complete_since = $1",
-];
+    (since, kind, source, stored_unix_ms, content, account) VALUES ($1, $2, $3, $4, $5, $6)";
 
 const READING: &str = "reading navigation data";
 
@@ -145,7 +138,7 @@ impl Store {
         &self,
         change: &NavigationChange<'_>,
     ) -> Result<Option<u64>, StoreError> {
-        let owner = owner_of(change.source);
+        let (owner, account) = (owner_of(change.source), account_of(change.source));
         let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
@@ -162,6 +155,7 @@ impl Store {
                         .bind(change.source)
                         .bind(change.stored_unix_ms)
                         .bind(encode_ephemeris(ephemeris))
+                        .bind(account)
                         .execute(&mut *transaction)
                         .await?;
                 }
@@ -180,20 +174,12 @@ impl Store {
                         .bind(change.source)
                         .bind(change.stored_unix_ms)
                         .bind(encode_record(&record))
+                        .bind(account)
                         .execute(&mut *transaction)
                         .await?;
                 }
-                let surplus: Option<i64> = match change.superseded_limit {
-                    None => None,
-                    Some(limit) => {
-                        let surplus = sqlx::query_scalar(SURPLUS).bind(limit as i64);
-                        surplus.fetch_optional(&mut *transaction).await?
-                    }
-                };
-                if let Some(end) = surplus {
-                    for forget in FORGET {
-                        sqlx::query(forget).bind(end).execute(&mut *transaction).await?;
-                    }
+                for account in change.counted_accounts {
+                    forget_superseded!(transaction, *account, change.superseded_limit);
                 }
                 notify!(self, transaction, Changed::Navigation);
                 transaction.commit().await?;
@@ -209,20 +195,29 @@ impl Store {
     /// # Errors
     /// The database fails, or a row is corrupt.
     pub(crate) async fn navigation(&self) -> Result<StoredNavigation, StoreError> {
-        let (push, _) = self.navigation_pushes().await?;
+        let push = self.newest_navigation_push().await?;
         self.navigation_in_force(push).await
     }
 
-    /// All navigation data that were in force after push number `push`.
+    /// All navigation data that were in force after push number `push`, and the accounts of which
+    /// some are no longer stored. `account` is not among them.
     ///
     /// # Errors
-    /// Some of them are no longer stored, the database fails, or a row is corrupt.
-    pub(crate) async fn navigation_after(&self, push: u64) -> Result<StoredNavigation, StoreError> {
-        let (_, complete_since) = self.navigation_pushes().await?;
+    /// Some of the data that serve sessions of `account` are no longer stored, the database fails,
+    /// or a row is corrupt.
+    pub(crate) async fn navigation_after(
+        &self,
+        push: u64,
+        account: &str,
+    ) -> Result<(StoredNavigation, Vec<String>), StoreError> {
+        let stored = self.navigation_in_force(push).await?;
+        // Read last, so that the check also covers data that were removed during the reads.
+        let completeness = self.navigation_completeness().await?;
+        let complete_since = completeness.since(account);
         if push < complete_since {
             return Err(StoreError::NavigationForgotten { push, complete_since });
         }
-        self.navigation_in_force(push).await
+        Ok((stored, completeness.incomplete_at(push)))
     }
 
     /// Number of the last push.
@@ -230,17 +225,7 @@ impl Store {
     /// # Errors
     /// The database fails.
     pub(crate) async fn newest_navigation_push(&self) -> Result<u64, StoreError> {
-        Ok(self.navigation_pushes().await?.0)
-    }
-
-    /// Numbers of the last push and of the first push whose navigation data are complete.
-    async fn navigation_pushes(&self) -> Result<(u64, u64), StoreError> {
-        let row: Result<(i64, i64), _> = reading!(&self.pool, pool => {
-            let sql = "SELECT newest, complete_since FROM navigation_pushes";
-            sqlx::query_as(sql).fetch_one(pool).await
-        });
-        let (newest, complete) = row.map_err(StoreError::database("reading navigation data"))?;
-        Ok((newest as u64, complete as u64))
+        Ok(self.navigation_completeness().await?.newest)
     }
 
     async fn navigation_in_force(&self, push: u64) -> Result<StoredNavigation, StoreError> {
@@ -269,14 +254,17 @@ impl Store {
     }
 
     /// How the navigation data in force after push `to` differ from those after push `from`, which
-    /// may be the later one. `None` if some of the difference is no longer stored.
+    /// may be the later one. `None` if some of the difference for sessions of `account` is no
+    /// longer stored.
     ///
     /// # Errors
-    /// The data after push `to` are no longer stored, the database fails, or a row is corrupt.
+    /// The data that served sessions of `account` after push `to` are no longer stored, the
+    /// database fails, or a row is corrupt.
     pub(crate) async fn navigation_difference(
         &self,
         from: u64,
         to: u64,
+        account: &str,
     ) -> Result<Option<NavigationDifference>, StoreError> {
         let (first, last) = (from.min(to) as i64, from.max(to) as i64);
         let ephemerides: Result<Vec<EphemerisRow>, _> = reading!(bulk &self.pool, pool => {
@@ -296,7 +284,8 @@ impl Store {
         let ephemerides = ephemerides.map_err(StoreError::database(READING))?;
         let records = records.map_err(StoreError::database(READING))?;
         // Read last, so that the check also covers data that were removed during the reads.
-        let (_, complete_since) = self.navigation_pushes().await?;
+        let completeness = self.navigation_completeness().await?;
+        let complete_since = completeness.since(account);
         if to < complete_since {
             return Err(StoreError::NavigationForgotten { push: to, complete_since });
         }
@@ -318,7 +307,8 @@ impl Store {
                 None => {}
             }
         }
-        Ok(Some(NavigationDifference { ended, begun }))
+        let incomplete = completeness.incomplete_at(from.min(to));
+        Ok(Some(NavigationDifference { ended, begun, incomplete }))
     }
 }
 

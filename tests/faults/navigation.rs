@@ -4,6 +4,8 @@
 use futures::poll;
 use graphfix::aiding::{AidingDesk, AidingLimits, UPLOAD, device};
 use graphfix::gnss::{Ephemeris, KlobucharCoefficients, Navigation};
+use graphfix::store::StoreError;
+use graphfix::tenant::Tenant;
 
 use crate::support::database::{Database, on_both_databases};
 use crate::support::drive::DRIVE;
@@ -13,6 +15,7 @@ on_both_databases!(
     past_navigation_data_are_those_that_were_in_force,
     a_push_whose_caller_has_gone_is_known,
     a_push_that_was_not_confirmed_becomes_known,
+    what_a_tenant_pushes_removes_nothing_of_others,
 );
 
 const OPERATOR: &str = "https://archive.example/brdc.rnx";
@@ -101,4 +104,73 @@ async fn a_push_that_was_not_confirmed_becomes_known(database: Database) {
     let (known, stored) = (live.navigation.current(), desk(&database).await.navigation.current());
     assert_eq!((known.push, known.navigation.len()), (3, stored.navigation.len()));
     assert!(known.navigation == stored.navigation);
+}
+
+/// The same issues as those of other numbers, with other orbits and coefficients, so each replaces
+/// the previous ones of its source.
+fn reissued(number: u32) -> Navigation {
+    let mut reissued = Navigation::default();
+    for (_, list) in DRIVE.navigation.satellites() {
+        let Ephemeris::Keplerian(mut orbit) = list[0].clone() else { continue };
+        (orbit.toe, orbit.toc) = (orbit.toe + 1e6, orbit.toc + 1e6);
+        orbit.m0_rad += 1e-3 * f64::from(number);
+        reissued.insert(Ephemeris::Keplerian(orbit));
+    }
+    let alpha = [1e-8 * f64::from(number), 0.0, 0.0, 0.0];
+    reissued.klobuchar_gps = Some(KlobucharCoefficients { alpha, beta: [9e4, 0.0, 0.0, 0.0] });
+    reissued
+}
+
+/// Of the data that one tenant pushes the oldest are forgotten, for its own sessions only. All
+/// others still get what was in force, in any order of pushes.
+async fn what_a_tenant_pushes_removes_nothing_of_others(database: Database) {
+    const LIMIT: usize = 100;
+    let few = AidingLimits { superseded_ephemerides: LIMIT, ..AidingLimits::service() };
+    let open = async || AidingDesk::open(database.store().await, few.clone()).await.unwrap();
+    let tenant = |name: &str| Tenant::parse(name).unwrap();
+    let live = open().await;
+    let [quiet, flooding] = ["quiet", "flooding"].map(|name| live.navigation.of(&tenant(name)));
+    let devices = ["device tenant quiet", "device tenant flooding", &*device("A")];
+    let mut expected = Vec::new();
+    let mut note = || {
+        let current = devices.map(|device| live.navigation.current_for(device));
+        expected.push(current);
+    };
+    for number in 0..2 {
+        live.navigation.push(later(number), OPERATOR).await.unwrap();
+        quiet.push(reissued(1000 + number)).await.unwrap();
+        live.navigation.push(reissued(2000 + number), devices[2]).await.unwrap();
+        note();
+    }
+    let in_force = live.navigation.current_for(devices[0]).navigation.len();
+    for number in 0..40 {
+        flooding.push(reissued(number)).await.unwrap();
+        note();
+    }
+    // Each account has data in force, and what a push adds before it is counted again.
+    let rows_max = 4 * in_force as i64 + 3 * (LIMIT + in_force) as i64;
+    assert!(database.count("ephemerides").await <= rows_max);
+    for number in 0..70 {
+        let mut coefficients = reissued(100 + number);
+        coefficients.retain(|_| false);
+        flooding.push(coefficients).await.unwrap();
+    }
+    let again = open().await;
+    let (count, mut forgotten) = (expected.len(), 0);
+    for index in (0..2 * count).map(|index| index * 17 % count) {
+        for (device, then) in devices.iter().zip(&expected[index]) {
+            match again.navigation.after(then.push, device).await {
+                Ok(known) => {
+                    assert!(known.navigation == then.navigation, "{device} after {}", then.push)
+                }
+                Err(StoreError::NavigationForgotten { .. }) if *device == devices[1] => {
+                    forgotten += 1;
+                }
+                Err(error) => panic!("{device} after {}: {error}", then.push),
+            }
+        }
+    }
+    assert!((1..2 * count).contains(&forgotten), "{forgotten} states of the tenant are forgotten");
+    let records = database.count("navigation_records").await;
+    assert!(records <= LIMIT as i64 + 10, "{records} coefficients are stored");
 }
