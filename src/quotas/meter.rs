@@ -108,25 +108,25 @@ impl Meter {
         }
     }
 
-    /// Admits new epochs if the tenant is within its quotas. Their number may exceed what is left;
-    /// the next epochs then have to wait longer.
+    /// Checks whether new epochs would be admitted now.
     ///
     /// # Errors
     /// The tenant has used up a quota.
-    pub fn admit_epochs(&self) -> Result<(), QuotaError> {
+    pub fn check_epochs(&self) -> Result<(), QuotaError> {
         let (mut inner, now_s) = (self.lock(), self.now_s());
-        if let (Some(limit), Some(Excess { beyond, delay })) =
-            (inner.quotas.epochs_per_s, inner.epochs.excess(now_s))
-        {
-            return Err(QuotaError::Epochs { beyond, limit, retry_after: delay });
-        }
-        if let Some(limit) = inner.quotas.stored_bytes {
-            let used = inner.stored.map_or(0, |stored| stored.stored_bytes);
-            if limit <= used {
-                return Err(QuotaError::Stored { used, limit, retry_after: STORED_DELAY });
-            }
-        }
-        inner.check_cpu(now_s)
+        inner.check_epochs(now_s)
+    }
+
+    /// Admits and counts new epochs if the tenant is within its quotas. Their number may exceed
+    /// what is left; the next epochs then have to wait longer.
+    ///
+    /// # Errors
+    /// The tenant has used up a quota. Nothing is counted.
+    pub fn admit_epochs(&self, epochs: usize) -> Result<(), QuotaError> {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        inner.check_epochs(now_s)?;
+        inner.epochs.add(epochs as f64, now_s);
+        Ok(())
     }
 
     /// Admits a computation that is not stored.
@@ -154,12 +154,6 @@ impl Meter {
         Some((self.creating.lock().await, limit))
     }
 
-    /// Counts epochs.
-    pub fn count_epochs(&self, epochs: usize) {
-        let (mut inner, now_s) = (self.lock(), self.now_s());
-        inner.epochs.add(epochs as f64, now_s);
-    }
-
     /// Counts processor time of the solvers.
     pub fn count_cpu(&self, time: Duration) {
         let (mut inner, now_s) = (self.lock(), self.now_s());
@@ -176,6 +170,21 @@ impl Meter {
 }
 
 impl Inner {
+    fn check_epochs(&mut self, now_s: f64) -> Result<(), QuotaError> {
+        if let (Some(limit), Some(Excess { beyond, delay })) =
+            (self.quotas.epochs_per_s, self.epochs.excess(now_s))
+        {
+            return Err(QuotaError::Epochs { beyond, limit, retry_after: delay });
+        }
+        if let Some(limit) = self.quotas.stored_bytes {
+            let used = self.stored.map_or(0, |stored| stored.stored_bytes);
+            if limit <= used {
+                return Err(QuotaError::Stored { used, limit, retry_after: STORED_DELAY });
+            }
+        }
+        self.check_cpu(now_s)
+    }
+
     fn check_cpu(&mut self, now_s: f64) -> Result<(), QuotaError> {
         match (self.quotas.cpu_s_per_minute, self.cpu_s.excess(now_s)) {
             (Some(limit), Some(Excess { beyond, delay })) => {
@@ -200,10 +209,10 @@ mod tests {
     #[test]
     fn without_quotas_everything_is_admitted() {
         let meter = meter(Quotas::default());
-        meter.count_epochs(1_000_000);
+        meter.admit_epochs(1_000_000).unwrap();
         meter.count_cpu(Duration::from_secs(1_000_000));
         meter.set_stored(TenantUse { sessions: 1, stored_bytes: u64::MAX });
-        meter.admit_epochs().unwrap();
+        meter.check_epochs().unwrap();
         assert_eq!(meter.computation_delay(), Duration::ZERO);
     }
 
@@ -211,11 +220,11 @@ mod tests {
     fn each_quota_is_named_with_limit_and_delay() {
         let refused = |quotas: Quotas| {
             let meter = meter(quotas);
-            meter.admit_epochs().unwrap();
-            meter.count_epochs(1000);
+            meter.admit_epochs(1000).unwrap();
             meter.count_cpu(Duration::from_secs(90));
             meter.set_stored(TenantUse { sessions: 1, stored_bytes: 1000 });
-            meter.admit_epochs().unwrap_err()
+            meter.check_epochs().unwrap_err();
+            meter.admit_epochs(1).unwrap_err()
         };
         let none = Quotas::default();
         for (quotas, code, longest_s) in [
@@ -230,10 +239,10 @@ mod tests {
         }
         // A quota that is set later counts at once, and so does its removal.
         let meter = meter(none);
-        meter.count_epochs(1000);
+        meter.admit_epochs(1000).unwrap();
         meter.set(Quotas { epochs_per_s: Some(10.0), ..none });
-        meter.admit_epochs().unwrap_err();
+        meter.check_epochs().unwrap_err();
         meter.set(none);
-        meter.admit_epochs().unwrap();
+        meter.check_epochs().unwrap();
     }
 }

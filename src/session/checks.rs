@@ -82,21 +82,19 @@ impl Sessions {
     /// Checks a push, and counts its epochs for the tenant's quotas.
     pub(super) fn admit_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
         self.check_push(epochs)?;
-        self.meter().admit_epochs()?;
-        self.meter().count_epochs(epochs.len());
-        Ok(())
+        Ok(self.meter().admit_epochs(epochs.len())?)
     }
 
-    /// Checks a chunk and the tenant's quotas; its epochs are counted later. Returns the number of
-    /// epochs that it takes in the mailbox. This is an estimate from its length, because the true
-    /// number is not known before it is decoded.
+    /// Checks a chunk and the tenant's quotas. Its epochs are checked again and counted when it is
+    /// decoded. Returns the number of epochs that it takes in the mailbox. This is an estimate from
+    /// its length, because the true number is not known before.
     pub(super) fn admit_chunk(&self, chunk: &RawChunk) -> Result<usize, SessionError> {
         let (bytes, limit) = (chunk.content.len(), self.limits().raw_chunk_bytes);
         if limit < bytes {
             return Err(SessionError::ChunkTooLarge { bytes, limit });
         }
         if 0 < bytes {
-            self.meter().admit_epochs()?;
+            self.meter().check_epochs()?;
         }
         Ok((bytes / BYTES_PER_EPOCH + 1).min(self.limits().epochs_per_push))
     }

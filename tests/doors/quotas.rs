@@ -5,6 +5,7 @@ use std::process::Command;
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
+use futures::future::join_all;
 use graphfix::contract::v1;
 use graphfix::grpc::code_of;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
@@ -16,14 +17,16 @@ use tonic_types::StatusExt;
 use crate::support::database::{Database, on_both_databases};
 use crate::support::doors::{Doors, code, epoch};
 use crate::support::jobs::MINUTE;
+use crate::support::pair::PAIR;
 use crate::support::wait::until;
 
 use super::jobs::post;
-use super::tenants::world::{Key, asked, get, key_of, operator, session};
+use super::tenants::world::{Key, asked, get, key_of, operator, session, uploaded};
 
 on_both_databases!(
     a_tenant_has_no_more_sessions_than_its_quota,
     epochs_are_refused_by_each_quota,
+    raw_bytes_that_arrive_at_once_stay_within_the_quota,
     files_of_jobs_are_refused_by_their_quota,
     the_operator_sets_quotas_beside_the_service,
 );
@@ -118,6 +121,43 @@ async fn epochs_are_refused_by_each_quota(database: Database) {
     assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
     let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
     assert_eq!(used["storedBytes"].as_u64().unwrap_or(0), 0, "{used}");
+    doors.close().await;
+}
+
+/// The epochs of raw bytes are known once they are decoded. What is decoded beyond the quota is
+/// refused as a whole, and taken when it is sent again.
+async fn raw_bytes_that_arrive_at_once_stay_within_the_quota(database: Database) {
+    const CHUNK: usize = 15;
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let a = key_of(&doors, &operator, "a", "").await;
+    let mut paths = Vec::new();
+    for _ in 0..8 {
+        paths.push(format!(
+            "/v1/sessions/{}/raw?offset=0&end=true",
+            session(&doors, &a, json!({})).await
+        ));
+    }
+    // 20 epochs may come at once.
+    set(&doors, &operator, "a", json!({"epochsPerS": 2.0})).await;
+    let file = PAIR.file_of(&PAIR.base[..CHUNK], None);
+    let upload = async |path: &String| uploaded(&doors, &a, path, &file).await;
+    let answers = join_all(paths.iter().map(&upload)).await;
+    let mut refused = Vec::new();
+    for (path, answer) in paths.iter().zip(&answers) {
+        if let Some((code, _)) = &answer.refusal {
+            assert_eq!(code, "EPOCH_QUOTA_EXCEEDED");
+            refused.push(path);
+        }
+    }
+    let taken = database.count("epochs").await as usize;
+    assert_eq!(taken, (paths.len() - refused.len()) * CHUNK);
+    assert!((1..20 + CHUNK).contains(&taken), "{taken} epochs at once");
+    set(&doors, &operator, "a", json!({})).await;
+    for path in refused {
+        assert!(upload(path).await.refusal.is_none(), "the stream continues where it was");
+    }
+    assert_eq!(database.count("epochs").await as usize, paths.len() * CHUNK);
     doors.close().await;
 }
 

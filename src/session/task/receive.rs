@@ -92,9 +92,9 @@ impl Task {
         };
         let count = received.epochs.len();
         let count_refused = |_: &SessionError| self.counters.count_refused(count);
+        self.admit_decoded(count).inspect_err(count_refused)?;
         let mut received = self.brought(received).await.inspect_err(count_refused)?;
         let epochs = std::mem::take(&mut received.epochs);
-        self.solvers.meter().count_epochs(epochs.len());
         let is_patient = MailboxPermit::is_of_stream(permit);
         if let Some(permit) = permit {
             permit.raise_to(epochs.len());
@@ -117,12 +117,18 @@ impl Task {
         Ok(RawReceived { outcomes, durable_through, raw_through, received, resent, output })
     }
 
+    /// Checks the number of epochs of a decoded chunk, and counts them for the tenant's quotas.
+    /// Other chunks of the tenant that arrived at the same time may have used up a quota.
+    fn admit_decoded(&self, epochs: usize) -> Result<(), SessionError> {
+        match (epochs, self.epochs_per_push) {
+            (0, _) => Ok(()),
+            (_, limit) if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
+            _ => Ok(self.solvers.meter().admit_epochs(epochs)?),
+        }
+    }
+
     /// Pushes ephemerides to the broker. They are durable when it returns.
     async fn brought(&self, received: Received) -> Result<Received, SessionError> {
-        let (epochs, limit) = (received.epochs.len(), self.epochs_per_push);
-        if limit < epochs {
-            return Err(SessionError::TooManyEpochs { epochs, limit });
-        }
         if received.navigation != Navigation::default() {
             self.aiding.navigation.push(received.navigation.clone(), &self.device).await?;
         }
