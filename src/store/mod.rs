@@ -385,25 +385,25 @@ impl Store {
         self.committer.commit(batch).await
     }
 
-    /// Waits until commits work, and no earlier commit can still end. What is read afterwards
-    /// contains each commit of this service that was answered with [`StoreError::Unconfirmed`], or
-    /// never will.
+    /// Checks that commits work, and that no earlier commit that failed can still end. What is read
+    /// afterwards contains each commit of this service that was answered with
+    /// [`StoreError::Unconfirmed`], or never will.
     ///
     /// # Errors
-    /// Commits do not work within the deadline.
-    pub(crate) async fn settled(&self) -> Result<(), StoreError> {
-        self.committer.working().await
+    /// Commits fail. They are refused until the database answers again.
+    pub(crate) fn settled(&self) -> Result<(), StoreError> {
+        self.committer.check()
     }
 
-    /// Number of a session's last epoch. Waits until commits work and no earlier one is pending.
+    /// Number of a session's last epoch, when no earlier commit is pending.
     ///
     /// # Errors
-    /// Commits do not work within the deadline, or the database fails.
+    /// Commits fail, or the database does.
     pub(crate) async fn confirmed_last_number(
         &self,
         session: SessionKey,
     ) -> Result<Option<u64>, StoreError> {
-        self.settled().await?;
+        self.settled()?;
         let number: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             let sql = "SELECT last_seq FROM session_heads WHERE session = $1";
             sqlx::query_scalar(sql).bind(session.0).fetch_one(pool).await

@@ -365,7 +365,7 @@ impl Task {
         let is_outdated = self.outdated.swap(false, Ordering::AcqRel);
         if active.is_none() {
             // A reset that is not confirmed may still be stored, and keeps the last number.
-            self.store.settled().await?;
+            self.store.settled()?;
         }
         if is_outdated || active.is_none() {
             let row = row.filter(|_| !is_outdated);

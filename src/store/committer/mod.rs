@@ -228,16 +228,14 @@ impl Committer {
         std::future::pending().await // It was stopped.
     }
 
-    /// Waits until commits work.
+    /// Checks that commits work. After a failure they do not until another connection is probed.
     ///
     /// # Errors
-    /// They do not within the deadline of a commit.
-    pub(super) async fn working(&self) -> Result<(), StoreError> {
-        let mut health = self.health.clone();
-        let is_working = |health: &CommitterHealth| health.state == CommitterState::Working;
-        match timeout(DEADLINE, health.wait_for(is_working)).await {
-            Ok(Ok(_)) => Ok(()),
-            _ => Err(refusal(&self.health())),
+    /// They do not. A batch would be refused now.
+    pub(super) fn check(&self) -> Result<(), StoreError> {
+        match self.health() {
+            CommitterHealth { state: CommitterState::Working, .. } => Ok(()),
+            failing => Err(refusal(&failing)),
         }
     }
 }

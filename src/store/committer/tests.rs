@@ -90,6 +90,13 @@ async fn started() -> (Committer, Arc<Shared>) {
     (committer, shared)
 }
 
+async fn works_again(committer: &Committer) {
+    let mut health = committer.health.clone();
+    let works = health.wait_for(|health| health.state == CommitterState::Working);
+    timeout(Duration::from_secs(5), works).await.unwrap().unwrap();
+    committer.check().unwrap();
+}
+
 fn batch(session: i64) -> Batch {
     Batch::new(SessionKey(session), None)
 }
@@ -106,7 +113,7 @@ async fn a_failure_is_answered_and_the_next_batch_is_committed() {
         let reached_commit = matches!(next, Next::FailsDuring | Next::HangsDuring);
         assert_eq!(is_unconfirmed, reached_commit, "{next:?}: {error}");
         assert_eq!(error.code(), Code::DatabaseFailed);
-        committer.working().await.unwrap();
+        works_again(&committer).await;
         committer.commit(batch(failures as i64)).await.unwrap();
         assert_eq!(committer.health().failures, failures as u64 + 1);
     }
@@ -126,7 +133,7 @@ async fn a_probe_that_panics_does_not_end_the_committer() {
         }
     };
     timeout(Duration::from_secs(5), opened_again).await.unwrap();
-    committer.working().await.unwrap();
+    works_again(&committer).await;
     committer.commit(batch(1)).await.unwrap();
     assert_eq!((committer.health().panics, committer.health().failures), (1, 1));
 }
@@ -204,11 +211,12 @@ async fn batches_are_refused_at_once_while_the_database_is_away() {
     for _ in 0..100 {
         let error = committer.commit(batch(2)).await.unwrap_err();
         assert!(matches!(error, StoreError::Down { .. }), "{error}");
+        committer.check().unwrap_err();
     }
     assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
     assert!(matches!(committer.health().state, CommitterState::Failed { .. }));
     shared.is_down.store(false, Ordering::SeqCst);
-    committer.working().await.unwrap();
+    works_again(&committer).await;
     committer.commit(batch(3)).await.unwrap();
     assert_eq!(*shared.written.lock().unwrap(), [3]);
 }
