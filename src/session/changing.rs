@@ -1,6 +1,8 @@
 //! Creates sessions, and changes their settings.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+use tokio::time::sleep;
 
 use crate::config::PositioningOptions;
 use crate::store::{Author, Created, NamedRequest, SessionKey, SessionSettings};
@@ -9,6 +11,14 @@ use super::configuration::{base_of, settings, stored_options};
 use super::desk::Sessions;
 use super::info::etag_of;
 use super::{NewSession, SessionError, SessionId, SessionInfo, SessionUpdate};
+
+/// Interval at which the settings are read again after an update with an unknown outcome.
+const LOOK_INTERVAL: Duration = Duration::from_secs(1);
+/// Number of these reads that the database answers. A commit that it received before the failure
+/// ends before, unless its disk takes longer.
+const LOOKS: usize = 30;
+/// Number of these reads with those that fail.
+const LOOKS_MAX: usize = 600;
 
 impl Sessions {
     /// Creates a session and stores it.
@@ -156,8 +166,27 @@ impl Sessions {
         let stored = self.store().update_session(row.key, &row.settings, entry.as_deref()).await;
         // Even after an error, because only the answer to the commit may be lost.
         self.outdated(id, row.key);
+        if stored.is_err() {
+            tokio::spawn(self.clone().look_again(id.clone(), row.key));
+        }
         stored?;
         self.info(id.clone(), row)
+    }
+
+    /// Has the settings read again for some time after an update that failed. The server may still
+    /// commit it: the answer to an epoch that comes meanwhile does not show this.
+    async fn look_again(self, id: SessionId, key: SessionKey) {
+        let mut looks = 0;
+        for _ in 0..LOOKS_MAX {
+            sleep(LOOK_INTERVAL).await;
+            if LOOKS <= looks || self.is_draining() {
+                return;
+            }
+            if self.store().session_of_any(id.as_str()).await.is_ok() {
+                self.outdated(&id, key);
+                looks += 1;
+            }
+        }
     }
 
     /// The session's task and its watches read the settings again.

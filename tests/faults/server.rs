@@ -150,6 +150,33 @@ async fn settings_whose_commit_is_cut_off_are_in_force() {
     .await;
 }
 
+/// The settings are committed after the update has failed, and after epochs have been positioned
+/// with the previous ones. They are in force soon, without another update.
+#[tokio::test]
+async fn settings_whose_commit_is_late_are_in_force() {
+    on_postgres(async |database| {
+        let service = Service::start(&database.url).await;
+        let update = SessionUpdate { mode: Some("fgo".to_owned()), ..SessionUpdate::default() };
+        service.proxy.set(Mode::CommitLate);
+        let cut = service.sessions.update(&service.id, update).await.unwrap_err();
+        assert_eq!(cut.code().name(), "DATABASE_FAILED", "{cut}");
+        assert!(!service.acknowledged(2).await);
+        let get = async || service.sessions.get(&service.id).await.unwrap();
+        assert_ne!(get().await.mode, "fgo", "the commit came too early for this test");
+        let committed = until("committed", get, |info| info.mode == "fgo").await;
+        let mut seq = 2;
+        let push = async || {
+            seq += 1;
+            let answer = service.sessions.submit(&service.id, vec![epoch(seq, seq as f64)]).await;
+            let result = answer.unwrap().outcomes.remove(0).result;
+            result.unwrap().solution.configuration_hash
+        };
+        let is_new = |hash: &std::sync::Arc<str>| *hash == committed.configuration_hash;
+        until("the settings are in force", push, is_new).await;
+    })
+    .await;
+}
+
 /// The connection is cut while a base is stored. A stored base is in memory, and other bases can be
 /// created afterwards.
 #[tokio::test]

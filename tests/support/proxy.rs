@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, lookup_host};
 use tokio::sync::watch;
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 
 /// Behaviour of the proxy.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +24,8 @@ pub(crate) enum Mode {
     /// Closes the connection that commits next. The server has then committed, and the client has
     /// no answer yet.
     CutAfterCommit,
+    /// Closes the connection that commits next. The server receives `COMMIT` a second later.
+    CommitLate,
     /// Closes the connection that ends a job next. The server has then ended it, and the client has
     /// no answer yet.
     CutAfterEndOfJob,
@@ -34,6 +36,8 @@ const END_OF_JOB: &[u8] = b"UPDATE jobs SET state = $3";
 
 /// Cuts a connection at most this long after `COMMIT`, answered or not.
 const ANSWER: Duration = Duration::from_secs(2);
+/// Delay of a late `COMMIT`.
+const LATE: Duration = Duration::from_secs(1);
 
 pub(crate) struct Proxy {
     address: SocketAddr,
@@ -99,7 +103,7 @@ async fn forward(mut client: TcpStream, server: SocketAddr, mode: watch::Sender<
                 }
                 let commits = has(b"COMMIT\0");
                 let cuts = match now {
-                    Mode::CutBeforeCommit | Mode::CutAfterCommit => commits,
+                    Mode::CutBeforeCommit | Mode::CutAfterCommit | Mode::CommitLate => commits,
                     Mode::CutAfterEndOfJob => ends_job,
                     Mode::Pass | Mode::Frozen | Mode::FrozenAtLock | Mode::Refuse => false,
                 };
@@ -108,6 +112,14 @@ async fn forward(mut client: TcpStream, server: SocketAddr, mode: watch::Sender<
                     mode.send_replace(Mode::Pass);
                 }
                 if cuts && now == Mode::CutBeforeCommit {
+                    return;
+                }
+                if cuts && now == Mode::CommitLate {
+                    drop(client);
+                    sleep(LATE).await;
+                    server.write_all(&sent[..length]).await.unwrap();
+                    let length = server.read(&mut answered).await.unwrap();
+                    assert!(0 < length, "the server answers the commit");
                     return;
                 }
                 if server.write_all(&sent[..length]).await.is_err() {
