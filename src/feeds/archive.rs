@@ -171,8 +171,8 @@ impl Archive {
         for url in urls {
             let before = known.get(&url).cloned().unwrap_or_default();
             match web::fetch(&self.connector, &url, &before, PACKED_LIMIT).await {
-                Ok(Fetched::Unchanged) => found = true,
-                Ok(Fetched::New { content, validators }) => {
+                Ok(Fetched::Unchanged { .. }) => found = true,
+                Ok(Fetched::New { content, validators, .. }) => {
                     self.take(&url, content).await.map_err(|problem| (problem, None))?;
                     known.insert(url, validators);
                     found = true;

@@ -100,7 +100,7 @@ async fn tried(connector: &Connector, url: &Url) -> Result<Option<Vec<u8>>, WebE
     loop {
         let error = match web::fetch(connector, url, &known, PACKED_LIMIT).await {
             Ok(Fetched::New { content, .. }) => return Ok(Some(content)),
-            Ok(Fetched::Unchanged) | Err(WebError::NotFound { .. }) => return Ok(None),
+            Ok(Fetched::Unchanged { .. }) | Err(WebError::NotFound { .. }) => return Ok(None),
             Err(error) => error,
         };
         match attempts.delay_after(&error) {

@@ -20,7 +20,8 @@ use super::stop::stopped;
 use super::web::{self, Fetched, Validators, WebError, without_query};
 use super::{ArchiveTemplate, Backoff, Connector, FeedOptions};
 
-/// A file is complete if it is fetched this long after the end of its time (ms).
+/// A file is complete if it is fetched this long after the end of its time (ms), by this clock and
+/// by that of the host: a clock that is ahead would end a file that still grows.
 const COMPLETE_AFTER_MS: i64 = 3_600_000;
 /// After this many failures in a row a file no longer delays newer files. The base takes epochs in
 /// order of time, so the file cannot be added any more once a newer one is.
@@ -61,6 +62,35 @@ struct File {
 }
 
 impl File {
+    /// A file that is due now.
+    fn new(options: &FeedOptions, now: Instant) -> Self {
+        Self {
+            due: now,
+            failing: Backoff::new(options.file_delay, options.file_ceiling),
+            known: Validators::default(),
+            is_done: false,
+            problem: None,
+            failures: 0,
+        }
+    }
+
+    /// Notes that it was fetched at `now`. It is due again after `refresh`, unless it is done.
+    fn succeeded(&mut self, now: Instant, refresh: Duration) {
+        self.due = now + refresh;
+        (self.problem, self.failures) = (None, 0);
+        self.failing.reset();
+    }
+
+    /// Notes that it could not be fetched at `now`. It is due after a delay that grows with each
+    /// failure, or after the one that the host asks for.
+    fn failed(&mut self, problem: FeedProblem, now: Instant, retry_after: Option<Duration>) {
+        self.failures += 1;
+        // Fetched again even if unchanged, because the failure may have been on this side.
+        self.known = Validators::default();
+        self.due = now + self.failing.next(retry_after);
+        self.problem = Some(problem);
+    }
+
     /// Whether newer files wait for this one: the archive has the file, but it could not be fetched
     /// completely.
     fn blocks_newer(&self) -> bool {
@@ -89,15 +119,10 @@ impl BaseArchive {
         let mut files: BTreeMap<GpsTime, File> = BTreeMap::new();
         while self.list(&mut files) {
             let now = Instant::now();
-            let blocking =
-                files.iter().find(|(_, file)| file.blocks_newer()).map(|(start, _)| *start);
-            let is_allowed = |start: &GpsTime| blocking.is_none_or(|blocking| *start <= blocking);
-            let open = files.iter_mut().filter(|(start, file)| !file.is_done && is_allowed(start));
-            let next = open.min_by_key(|(start, file)| (file.due.max(now), **start));
-            let delay = match next {
+            let delay = match next(&mut files, now) {
                 Some((start, file)) if file.due <= now => {
                     self.status.write().enter(SourceState::Fetching, None, unix_ms());
-                    if self.fetch(*start, file).await.is_none() {
+                    if self.fetch(start, file).await.is_none() {
                         return;
                     }
                     self.report(&files);
@@ -125,14 +150,7 @@ impl BaseArchive {
             needed.into_iter().filter(|time| *time <= now).filter_map(start).collect();
         files.retain(|start, _| starts.contains(start));
         for start in starts {
-            files.entry(start).or_insert_with(|| File {
-                due: Instant::now(),
-                failing: Backoff::new(self.options.file_delay, self.options.file_ceiling),
-                known: Validators::default(),
-                is_done: false,
-                problem: None,
-                failures: 0,
-            });
+            files.entry(start).or_insert_with(|| File::new(&self.options, Instant::now()));
         }
         true
     }
@@ -161,22 +179,22 @@ impl BaseArchive {
         self.status.write().requests += 1;
         let url = url.map_or_else(|_| self.template.to_string(), |url| url.to_string());
         let taken = match fetched {
-            Ok(Fetched::Unchanged) => Ok(()),
-            Ok(Fetched::New { content, validators }) => {
+            Ok(Fetched::Unchanged { host_unix_ms }) => Ok(host_unix_ms),
+            Ok(Fetched::New { content, validators, host_unix_ms }) => {
                 file.known = validators;
-                self.take(&url, content, from, until).await.map_err(|problem| (problem, None))
+                let taken = self.take(&url, content, from, until).await;
+                taken.map(|()| host_unix_ms).map_err(|problem| (problem, None))
             }
             Err(error) => Err((FeedProblem::from(&error), error.retry_after())),
         };
         let now = Instant::now();
         match taken {
-            Ok(()) => {
-                let is_complete = until < gps_time(unix_ms() - COMPLETE_AFTER_MS);
+            Ok(host_unix_ms) => {
+                let unix_ms = host_unix_ms.map_or(unix_ms(), |of_host| of_host.min(unix_ms()));
+                let is_complete = until < gps_time(unix_ms - COMPLETE_AFTER_MS);
                 let coverage = self.bases.coverage(&self.base, from, until);
                 file.is_done = is_complete || !matches!(coverage, Ok(Coverage::Incomplete));
-                file.due = now + self.options.file_refresh;
-                (file.problem, file.failures) = (None, 0);
-                file.failing.reset();
+                file.succeeded(now, self.options.file_refresh);
             }
             Err((problem, retry_after)) => {
                 let FeedProblem { code, message } = problem;
@@ -184,12 +202,8 @@ impl BaseArchive {
                     let url = without_query(&url);
                     tracing::warn!(%code, base = %self.base, url, %message, "no file of a base");
                 }
-                file.failures += 1;
-                // Fetched again even if unchanged, because the failure may have been on this side.
-                file.known = Validators::default();
-                file.due = now + file.failing.next(retry_after);
                 let message = format!("{url}: {message}");
-                file.problem = Some(FeedProblem { code, message });
+                file.failed(FeedProblem { code, message }, now, retry_after);
             }
         }
         Some(())
@@ -250,6 +264,16 @@ impl BaseArchive {
     }
 }
 
+/// The file to fetch next: of those that are due the earliest in time, otherwise the one that is
+/// due first. Files that are newer than one that blocks them wait.
+fn next(files: &mut BTreeMap<GpsTime, File>, now: Instant) -> Option<(GpsTime, &mut File)> {
+    let blocking = files.iter().find(|(_, file)| file.blocks_newer()).map(|(start, _)| *start);
+    let is_allowed = |start: &GpsTime| blocking.is_none_or(|blocking| *start <= blocking);
+    let open = files.iter_mut().filter(|(start, file)| !file.is_done && is_allowed(start));
+    let next = open.min_by_key(|(start, file)| (file.due.max(now), **start));
+    next.map(|(start, file)| (*start, file))
+}
+
 fn too_old(from: GpsTime) -> FeedProblem {
     FeedProblem {
         code: Code::BaseOutOfOrder,
@@ -260,4 +284,69 @@ fn too_old(from: GpsTime) -> FeedProblem {
 fn read(content: &[u8], limits: &BaseFileLimits) -> Result<BaseFile, String> {
     let text = unpack_within(content, UNPACKED_LIMIT);
     BaseFile::read(text, limits).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OPTIONS: FeedOptions = FeedOptions::standard();
+
+    fn start(hour: u32) -> GpsTime {
+        GpsTime::from_week_seconds(2300, 3600.0 * f64::from(hour))
+    }
+
+    /// Files of three hours that are due at `now`.
+    fn files(now: Instant) -> BTreeMap<GpsTime, File> {
+        (0..3).map(|hour| (start(hour), File::new(&OPTIONS, now))).collect()
+    }
+
+    fn fails(file: &mut File, code: Code, now: Instant, retry_after: Option<Duration>) -> Duration {
+        file.failed(FeedProblem { code, message: String::new() }, now, retry_after);
+        file.due - now
+    }
+
+    #[test]
+    fn files_that_are_due_are_fetched_in_order_of_time() {
+        let now = Instant::now();
+        let (mut files, later) = (files(now), now + OPTIONS.file_refresh);
+        for hour in 0..3 {
+            let (next, file) = next(&mut files, now).unwrap();
+            assert_eq!((next, file.due), (start(hour), now));
+            file.succeeded(now, OPTIONS.file_refresh + Duration::from_secs(hour.into()));
+        }
+        assert_eq!(next(&mut files, now).unwrap().0, start(0), "it is due first");
+        files.get_mut(&start(0)).unwrap().is_done = true;
+        let (next_start, file) = next(&mut files, now).unwrap();
+        assert_eq!((next_start, file.due), (start(1), later + Duration::from_secs(1)));
+        // Both are due, so the earlier one is next although the other has been due for longer.
+        files.get_mut(&start(2)).unwrap().due = now;
+        assert_eq!(next(&mut files, now).unwrap().0, start(2));
+        assert_eq!(next(&mut files, later + Duration::from_secs(9)).unwrap().0, start(1));
+        files.values_mut().for_each(|file| file.is_done = true);
+        assert!(next(&mut files, later).is_none());
+    }
+
+    #[test]
+    fn a_file_that_fails_is_due_after_growing_delays_and_blocks_newer_ones_for_some() {
+        let now = Instant::now();
+        let mut files = files(now);
+        let mut longest = OPTIONS.file_delay;
+        for failures in 1..=10 {
+            let file = files.get_mut(&start(1)).unwrap();
+            let delay = fails(file, Code::HostSlow, now, None);
+            assert!(longest / 2 <= delay && delay <= longest, "{delay:?} of {longest:?}");
+            longest = (2 * longest).min(OPTIONS.file_ceiling);
+            files.get_mut(&start(0)).unwrap().is_done = true;
+            let is_blocked = next(&mut files, now).unwrap().0 == start(1);
+            assert_eq!(is_blocked, failures < BLOCKING_FAILURES, "{failures} failures");
+        }
+        let file = files.get_mut(&start(1)).unwrap();
+        let asked = Duration::from_secs(7200);
+        assert!(asked <= fails(file, Code::HostRefuses, now, Some(asked)));
+        file.succeeded(now, OPTIONS.file_refresh);
+        assert_eq!((file.due - now, file.problem.is_none()), (OPTIONS.file_refresh, true));
+        assert!(fails(file, Code::FileNotFound, now, None) <= OPTIONS.file_delay, "it began again");
+        assert_eq!(next(&mut files, now).unwrap().0, start(2), "a missing file blocks nothing");
+    }
 }

@@ -1,6 +1,6 @@
 //! Fetches files by HTTP: whole, only if changed, and only from the host asked.
 //!
-//! Source: RFC 9110 (validators, redirection) and RFC 9112 (message body length).
+//! Source: RFC 9110 (validators, redirection, date) and RFC 9112 (message body length).
 
 use std::convert::Infallible;
 use std::error::Error;
@@ -9,7 +9,7 @@ use std::future::Future;
 use std::io::ErrorKind;
 use std::pin::pin;
 use std::str::FromStr;
-use std::time::Duration;
+use std::time::{Duration, UNIX_EPOCH};
 
 use bytes::Bytes;
 use http_body_util::{BodyExt, Empty};
@@ -113,9 +113,14 @@ pub enum Fetched {
         content: Vec<u8>,
         /// The validators for the next request.
         validators: Validators,
+        /// The host's time of the answer (ms since 1970-01-01 UTC), if it states one.
+        host_unix_ms: Option<i64>,
     },
     /// The file has not changed.
-    Unchanged,
+    Unchanged {
+        /// As of a new version.
+        host_unix_ms: Option<i64>,
+    },
 }
 
 /// Why a file could not be fetched.
@@ -342,12 +347,16 @@ pub(super) fn answered(response: &Response<Incoming>) -> Result<Head, WebError> 
 async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebError> {
     match answered(&response)? {
         Head::File => {}
-        Head::Unchanged => return Ok(Answer::File(Fetched::Unchanged)),
+        Head::Unchanged => {
+            let host_unix_ms = host_unix_ms(&response);
+            return Ok(Answer::File(Fetched::Unchanged { host_unix_ms }));
+        }
         Head::Elsewhere(to) => return Ok(Answer::Elsewhere(to)),
     }
     let field = |name| response.headers().get(name).cloned();
     let validators =
         Validators { etag: field(header::ETAG), modified: field(header::LAST_MODIFIED) };
+    let host_unix_ms = host_unix_ms(&response);
     let mut body = response.into_body();
     let mut content = Vec::new();
     if (limit as u64) < body.size_hint().lower() {
@@ -361,7 +370,14 @@ async fn take(response: Response<Incoming>, limit: usize) -> Result<Answer, WebE
             return Err(WebError::TooLarge { limit });
         }
     }
-    Ok(Answer::File(Fetched::New { content, validators }))
+    Ok(Answer::File(Fetched::New { content, validators, host_unix_ms }))
+}
+
+/// The `Date` of an answer (ms since 1970-01-01 UTC).
+fn host_unix_ms(response: &Response<Incoming>) -> Option<i64> {
+    let date = response.headers().get(header::DATE)?.to_str().ok()?;
+    let since = httpdate::parse_http_date(date).ok()?.duration_since(UNIX_EPOCH).ok()?;
+    i64::try_from(since.as_millis()).ok()
 }
 
 pub(super) fn failed(error: &hyper::Error) -> WebError {

@@ -25,7 +25,7 @@ async fn fetched(wire: Vec<u8>) -> Result<Vec<u8>, &'static str> {
     let place = format!("http://127.0.0.1:{}/file?a=b", host.port).parse().unwrap();
     match fetch(&connector(None), &place, &Validators::default(), LIMIT).await {
         Ok(Fetched::New { content, .. }) => Ok(content),
-        Ok(Fetched::Unchanged) => Err("UNCHANGED"),
+        Ok(Fetched::Unchanged { .. }) => Err("UNCHANGED"),
         Err(error) => Err(error.code().name()),
     }
 }

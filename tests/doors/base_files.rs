@@ -371,6 +371,30 @@ async fn a_growing_file_is_followed() {
     assert!(requests[4].contains("\"150\""), "{:?}", requests[4]);
 }
 
+/// The clock of the service is hours ahead of the host's. A file that still grows is not taken for
+/// a complete one.
+#[tokio::test]
+async fn a_growing_file_is_followed_by_a_clock_that_is_ahead() {
+    let host = HostileCaster::start(move |number, mut stream, _| {
+        let (epochs, minute) = if number < 2 { (60, 1) } else { (150, 3) };
+        let file = PAIR.file_of(&PAIR.base[..epochs], Some(PAIR.position));
+        let date = format!("Date: Thu, 01 Jan 2026 06:0{minute}:00 GMT");
+        let wire = answer(&format!("200 OK\r\n{date}"), &file);
+        async move {
+            stream.write_all(&wire).await.ok();
+            stream.shutdown().await.ok();
+        }
+    })
+    .await;
+    let doors = navigated(&PAIR).await;
+    let template = format!("http://127.0.0.1:{}/{{yyyy}}/{{ddd}}/{{hh}}", host.port);
+    let base = base_of(&doors, &template).await;
+    let rover = session(&doors, &base).await;
+    push(&doors, &rover, &PAIR, 0..1).await;
+    let held = doors.until(&path(&base), |base| count(&base["archive"], "epochs") == 150).await;
+    assert_eq!(held["archive"]["missing"], 1, "the hour is not over for the host: {held}");
+}
+
 /// One real hour in the format of archives: CRINEX packed with gzip.
 #[tokio::test]
 async fn crinex_is_taken_as_archives_have_it() {
