@@ -50,6 +50,8 @@ pub(crate) use request_meters::{Outcome, RequestMeters};
 pub use service::Service;
 pub(crate) use service::Tiles;
 pub(crate) use sign_in::SignedIn;
+#[cfg(test)]
+pub(crate) use threads::probe;
 pub(crate) use threads::{in_background, off_the_network};
 pub use web_origins::{WebOriginError, WebOrigins};
 

@@ -115,3 +115,26 @@ impl<U: Message + Default + 'static> Decoder for MessageDecoder<U> {
         settings_for::<U>(to_read)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use futures::stream;
+    use http_body_util::BodyExt;
+    use tonic::codec::{Codec as _, EncodeBody, SingleMessageCompressionOverride};
+
+    use super::*;
+    use crate::contract::probe::{Probe, is_served_during};
+
+    async fn encode(probe: Probe) {
+        let encoder = Codec::<Probe, Probe>::default().encoder();
+        let (messages, inherit) =
+            (stream::iter([Ok(probe)]), SingleMessageCompressionOverride::Inherit);
+        let body = EncodeBody::new_server(encoder, messages, None, inherit, None);
+        body.collect().await.unwrap();
+    }
+
+    #[test]
+    fn a_long_answer_is_encoded_off_the_threads_of_the_network() {
+        assert_eq!(is_served_during(encode), [true, false], "long, short");
+    }
+}

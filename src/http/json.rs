@@ -15,3 +15,18 @@ impl<T: Message + Serialize> IntoResponse for Json<T> {
         off_the_network(self.0.encoded_len(), || axum::Json(self.0).into_response())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contract::probe::{Probe, is_served_during};
+
+    async fn encode(probe: Probe) {
+        drop(Json(probe).into_response());
+    }
+
+    #[test]
+    fn a_long_answer_is_encoded_off_the_threads_of_the_network() {
+        assert_eq!(is_served_during(encode), [true, false], "long, short");
+    }
+}
