@@ -48,9 +48,9 @@ pub(super) async fn fleet(
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct SessionHistoriesQuery {
-    /// Most sessions on the page, 1 to 1000; 100 if absent. A page may have fewer, or none,
-    /// although there are more: it ends when it has looked through as many sessions,
-    /// or, for an area, up to 10 000 of a day and fewer of a longer span.
+    /// At most this many sessions on the page, 1 to 1000; 100 if absent. A page may have fewer, or
+    /// none, although there are more: it ends when it has looked through as many sessions, or, for
+    /// an area, up to 10 000 of a day and fewer of a longer span.
     #[param(minimum = 0, maximum = 1000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of

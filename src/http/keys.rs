@@ -18,7 +18,8 @@ use super::sign_in::{NO_STORE, NoStore};
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct KeysQuery {
-    /// Most items on the page, 1 to 1000; 100 if absent.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. It has fewer where memory is
+    /// scarce.
     page_size: u32,
     /// `nextPageToken` of the previous answer.
     page_token: String,

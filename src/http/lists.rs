@@ -11,7 +11,8 @@ use crate::refusal::Code;
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// Most items on the page, 1 to 1000; 100 if absent.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. It may have fewer, although
+    /// there are more: 512 at the most of bases, and fewer where memory is scarce.
     #[param(minimum = 0, maximum = 1000)]
     pub(super) page_size: u32,
     /// `nextPageToken` of the previous answer.

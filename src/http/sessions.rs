@@ -69,7 +69,8 @@ pub(super) async fn get(
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct SessionsQuery {
-    /// Most items on the page, 1 to 1000; 100 if absent.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. It may have fewer, although
+    /// there are more: 128 of the view `FULL` at the most, and fewer where memory is scarce.
     #[param(minimum = 0, maximum = 1000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
@@ -113,7 +114,7 @@ pub(super) async fn list(
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct HeadsQuery {
-    /// Most heads on the page, 1 to 10000; 1000 if absent.
+    /// At most this many heads on the page, 1 to 10000; 1000 if absent.
     #[param(minimum = 0, maximum = 10_000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of

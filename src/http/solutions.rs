@@ -27,7 +27,7 @@ pub(super) struct SolutionsQuery {
     status: Option<String>,
     /// The revisions of each epoch: `last` (if absent), `first` or `all`.
     revisions: Option<String>,
-    /// Most solutions on the page, 1 to 10000; 1000 if absent.
+    /// At most this many solutions on the page, 1 to 10000; 1000 if absent.
     #[param(minimum = 0, maximum = 10_000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of

@@ -13,7 +13,7 @@ use crate::gnss::{BaseSite, CoordinateFrame, Ecef, Epoch, GpsTime, PositionSourc
 use crate::refusal::Code;
 
 use super::feeds;
-use super::paging::{Pages, Reading};
+use super::paging::{PAGE_BYTES, Pages, Reading};
 use super::positioning::{Numbered, epochs};
 use super::upload::{read_file, read_text};
 use super::{base_id, named_request, named_request_by, page_size, timestamp, utc};
@@ -26,6 +26,7 @@ const PAGE_LIMIT: usize = 1000;
 const LISTED_BYTES: usize = 1024;
 /// Memory of a base on a page, its message and its JSON (bytes).
 const BASE_BYTES: usize = 16 << 10;
+const _: () = assert!(PAGE_BYTES / BASE_BYTES == 512, "proto/ and docs/api.md state it");
 /// Possible distances of a base from the centre of the Earth (m): from the lowest ground at the
 /// poles to the highest mountain.
 const RADII_M: std::ops::RangeInclusive<f64> = 6.35e6..=6.39e6;

@@ -16,7 +16,7 @@ use crate::jobs::{
 use crate::refusal::Code;
 use crate::store::{JobState, WebhookState};
 
-use super::paging::{Pages, Reading};
+use super::paging::{self, Pages, Reading};
 use super::uploads::upload_id;
 use super::{job_options, oldest_first, page_size, timestamp, typed, utc};
 
@@ -26,6 +26,7 @@ const PAGE: usize = 100;
 const PAGE_LIMIT: usize = 1000;
 /// Memory of a job with its report, its message and its JSON (bytes).
 const JOB_BYTES: usize = 32 << 10;
+const _: () = assert!(paging::PAGE_BYTES / JOB_BYTES == 256, "proto/ and docs/api.md state it");
 /// Memory of the options and names of an upload (bytes).
 const OPTIONS_BYTES: usize = 64 << 10;
 /// Name of the call that deletes a job.

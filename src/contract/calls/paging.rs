@@ -13,7 +13,7 @@ use crate::refusal::Code;
 const TAG_BYTES: usize = 4;
 /// Largest memory of a page (bytes). Its message then has less than the 4 MB that clients of gRPC
 /// take unless they are told otherwise.
-const PAGE_BYTES: usize = 8 << 20;
+pub(super) const PAGE_BYTES: usize = 8 << 20;
 /// Memory of the items that are read in one batch (bytes).
 const BATCH_BYTES: usize = 1 << 20;
 

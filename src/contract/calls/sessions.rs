@@ -10,7 +10,7 @@ use crate::gnss::GpsTime;
 use crate::session::{NewSession, SessionHead, SessionInfo, SessionUpdate};
 use crate::store::{SCANNED_HEADS, SessionFilter};
 
-use super::paging::{Pages, Reading};
+use super::paging::{PAGE_BYTES, Pages, Reading};
 use super::{
     MODE, NEAREST, PROFILE, base_choice, bounds, is_full, named_request, oldest_first, or_standard,
     page_size, session_id, timestamp, utc,
@@ -22,6 +22,7 @@ const PAGE: usize = 100;
 const PAGE_LIMIT: usize = 1000;
 /// Memory of a session with its configuration of 75 options, its message and its JSON (bytes).
 const FULL_BYTES: usize = 64 << 10;
+const _: () = assert!(PAGE_BYTES / FULL_BYTES == 128, "proto/ and docs/api.md state it");
 /// Memory of a session without its configuration, its message and its JSON (bytes).
 const BASIC_BYTES: usize = 8 << 10;
 /// Heads on a page if the request gives no size.
