@@ -26,39 +26,69 @@ macro_rules! expired {
         )
     };
 }
-/// Selects sessions that were closed longer ago than their retention, with their last number.
+/// Whether a session was closed longer ago than the retention of the service, and is not known to
+/// be emptied. An index has these sessions by time.
+macro_rules! closed_by_default {
+    () => {
+        "s.retention_days IS NULL AND s.emptied = 0 AND s.closed_unix_ms IS NOT NULL \
+         AND CAST($2 AS BIGINT) > 0 AND s.deleted_unix_ms IS NULL \
+         AND s.closed_unix_ms < 86400000 * (CAST($1 AS BIGINT) - CAST($2 AS BIGINT))"
+    };
+}
+/// The same for sessions with a retention of their own.
+macro_rules! closed_by_own {
+    () => {
+        "s.retention_days > 0 AND s.emptied = 0 AND s.closed_unix_ms IS NOT NULL \
+         AND CAST($2 AS BIGINT) >= 0 AND s.deleted_unix_ms IS NULL \
+         AND (s.closed_unix_ms + 86400000 * CAST(s.retention_days AS BIGINT)) \
+         < 86400000 * CAST($1 AS BIGINT)"
+    };
+}
+/// Selects such sessions, with their last number.
 macro_rules! expired_closed {
-    ($condition:literal) => {
+    ($closed:expr, $condition:literal) => {
         concat!(
-            "SELECT h.session AS session, h.last_seq AS through FROM session_heads h ",
-            "JOIN sessions s ON s.key = h.session WHERE s.deleted_unix_ms IS NULL ",
-            "AND COALESCE(s.retention_days, CAST($2 AS BIGINT)) > 0 AND h.last_seq IS NOT NULL ",
-            "AND h.closed_unix_ms < 86400000 ",
-            "* (CAST($1 AS BIGINT) - COALESCE(s.retention_days, CAST($2 AS BIGINT))) AND ",
+            "SELECT s.key AS session, COALESCE(h.last_seq, 0) AS through FROM sessions s ",
+            "JOIN session_heads h ON h.session = s.key WHERE ",
+            $closed,
             $condition,
             " LIMIT $3"
         )
     };
 }
+/// Notes which of some such sessions have nothing left.
+macro_rules! note_emptied {
+    ($closed:expr) => {
+        concat!(
+            "UPDATE sessions SET emptied = 1 WHERE key IN (SELECT s.key FROM sessions s WHERE ",
+            $closed,
+            " LIMIT $3) ",
+            "AND NOT EXISTS (SELECT 1 FROM snapshots n WHERE n.session = sessions.key) ",
+            "AND NOT EXISTS (SELECT 1 FROM epochs e WHERE e.session = sessions.key) ",
+            "AND NOT EXISTS (SELECT 1 FROM rollups m ",
+            "WHERE m.session = sessions.key AND m.seconds = 60)"
+        )
+    };
+}
 /// Those whose heads are not marked yet.
-const TO_MARK: [&str; 2] = [
+const TO_MARK: [&str; 3] = [
     expired!("x.through > COALESCE(h.removed_through, -1)"),
-    expired_closed!("h.last_seq > COALESCE(h.removed_through, -1)"),
+    expired_closed!(closed_by_default!(), " AND h.last_seq > COALESCE(h.removed_through, -1)"),
+    expired_closed!(closed_by_own!(), " AND h.last_seq > COALESCE(h.removed_through, -1)"),
 ];
+const NOTE_EMPTIED: [&str; 2] =
+    [note_emptied!(closed_by_default!()), note_emptied!(closed_by_own!())];
 /// Those that still have rows to remove. Epochs may have gone with their partition, and minutes
 /// not.
-const TO_REMOVE: [&str; 2] = [
+const TO_REMOVE: [&str; 3] = [
     expired!(
         "(x.snapshots > 1 OR EXISTS \
          (SELECT 1 FROM epochs e WHERE e.session = x.session AND e.seq <= x.through) \
          OR (SELECT m.last_seq FROM rollups m WHERE m.session = x.session AND m.seconds = 60 \
          ORDER BY m.begin_s LIMIT 1) <= x.through)"
     ),
-    expired_closed!(
-        "(EXISTS (SELECT 1 FROM snapshots n WHERE n.session = h.session) \
-         OR EXISTS (SELECT 1 FROM epochs e WHERE e.session = h.session) \
-         OR EXISTS (SELECT 1 FROM rollups m WHERE m.session = h.session AND m.seconds = 60))"
-    ),
+    expired_closed!(closed_by_default!(), ""),
+    expired_closed!(closed_by_own!(), ""),
 ];
 /// Marks epochs as removed. `stored_bytes` shrinks in proportion to the numbers of the epochs,
 /// which need not begin at 1.
@@ -112,6 +142,23 @@ impl Store {
     /// The database fails.
     pub(crate) async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
         self.found_expired(&TO_REMOVE, today, days).await
+    }
+
+    /// Notes some closed sessions of which nothing is left, so that they are not looked at again.
+    /// Returns whether there were any.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn note_emptied(&self, today: i64, days: u32) -> Result<bool, StoreError> {
+        let mut is_any = false;
+        for sql in NOTE_EMPTIED {
+            let noted = writing!(&self.pool, pool => {
+                let note = sqlx::query(sql).bind(today).bind(i64::from(days)).bind(SESSIONS);
+                note.execute(pool).await.map(|done| done.rows_affected())
+            });
+            is_any |= 0 < noted.map_err(StoreError::database("noting emptied sessions"))?;
+        }
+        Ok(is_any)
     }
 
     /// Marks the epochs that are older than their retention as removed: no reader finds them.
@@ -266,5 +313,35 @@ impl Store {
             content,
         };
         Ok(rows.into_iter().map(snapshot).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use sqlx::{Connection, Row, SqliteConnection};
+
+    use super::*;
+
+    /// The search for closed sessions reads an index that has those with something to remove by
+    /// time, and no other session.
+    #[tokio::test]
+    async fn closed_sessions_are_found_by_the_time_at_which_they_are_due() {
+        let mut database = SqliteConnection::connect("sqlite::memory:").await.unwrap();
+        sqlx::migrate!("migrations/sqlite").run_direct(&mut database).await.unwrap();
+        let closed = |queries: &[&'static str]| {
+            let both = queries[queries.len() - 2..].iter().copied();
+            both.zip(["sessions_to_empty", "sessions_to_empty_by_own_retention"])
+                .collect::<Vec<_>>()
+        };
+        let all = [closed(&TO_MARK), closed(&TO_REMOVE), closed(&NOTE_EMPTIED)].concat();
+        for (sql, index) in all {
+            let explain = format!("EXPLAIN QUERY PLAN {sql}");
+            let plan = sqlx::query(&explain).bind(20_000).bind(90).bind(SESSIONS);
+            let plan = plan.fetch_all(&mut database).await.unwrap();
+            let steps: Vec<String> = plan.iter().map(|step| step.get("detail")).collect();
+            let range = format!("SEARCH s USING INDEX {index} (");
+            assert!(steps.iter().any(|step| step.starts_with(&range)), "{steps:?} of {sql}");
+            assert!(!steps.iter().any(|step| step.starts_with("SCAN")), "{steps:?} of {sql}");
+        }
     }
 }

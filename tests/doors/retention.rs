@@ -278,6 +278,8 @@ async fn a_closed_session_expires(database: Database) {
         sessions.remove_expired().await.unwrap();
         assert_eq!(database.count("epochs").await, left, "after {days} days");
     }
+    let emptied = database.count("sessions WHERE emptied = 1").await;
+    assert_eq!(emptied, 1, "the next removal looks at it again");
     let listed = sessions.solutions(&id, &whole_session()).await.unwrap();
     assert_eq!((listed.page.items.len(), listed.oldest_available), (0, Some(41)));
     for table in ["revisions", "snapshots", "kept_snapshots"] {
