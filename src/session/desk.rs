@@ -218,6 +218,8 @@ impl Sessions {
             return Ok(()); // Another call has started it meanwhile.
         }
         if !self.resume(id)? {
+            // While commits fail, reads may take as long as their deadline.
+            self.store().settled()?;
             let row = self.claimed(self.open_row(id).await?, id).await?;
             self.start(id, row, Start::Epochs)?;
         }
