@@ -109,6 +109,32 @@ fn day_of_year(civil: &CivilTime) -> i64 {
     since.unwrap_or_default() / (SECONDS_PER_DAY as i64 * NS_PER_SECOND) + 1
 }
 
+/// The delays between the fetches of an archive.
+struct Delays {
+    waiting: Backoff,
+    failing: Backoff,
+}
+
+impl Delays {
+    fn new(interval: Duration) -> Self {
+        let (waiting, failing) =
+            (Backoff::new(interval, interval), Backoff::new(DELAY, DELAY_CEILING));
+        Self { waiting, failing }
+    }
+
+    /// The delay after a success.
+    fn succeeded(&mut self) -> Duration {
+        self.failing.reset();
+        self.waiting.next(None)
+    }
+
+    /// The delay after a failure, which grows with each failure in a row. The host may ask for a
+    /// longer one.
+    fn failed(&mut self, retry_after: Option<Duration>) -> Duration {
+        self.failing.next(retry_after)
+    }
+}
+
 /// The task that fetches an archive of ephemerides.
 pub(super) struct Archive {
     pub(super) template: ArchiveTemplate,
@@ -123,8 +149,7 @@ impl Archive {
     /// Runs until stopped. A file being read is finished first.
     pub(super) async fn run(mut self) {
         let mut known: BTreeMap<Url, Validators> = BTreeMap::new();
-        let mut failing = Backoff::new(DELAY, DELAY_CEILING);
-        let mut waiting = Backoff::new(self.interval, self.interval);
+        let mut delays = Delays::new(self.interval);
         loop {
             self.health.enter(SourceState::Fetching, unix_ms());
             let mut stopping = self.stopped.clone();
@@ -134,13 +159,12 @@ impl Archive {
             };
             let delay = match fetched {
                 Ok(()) => {
-                    failing.reset();
                     self.health.succeeded(unix_ms());
-                    waiting.next(None)
+                    delays.succeeded()
                 }
                 Err((problem, retry_after)) => {
                     self.health.failed(problem, unix_ms());
-                    failing.next(retry_after)
+                    delays.failed(retry_after)
                 }
             };
             self.health.wait(delay, unix_ms());
@@ -212,6 +236,24 @@ fn read(content: &[u8]) -> Result<Navigation, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_archive_is_fetched_at_an_interval_and_after_growing_delays_while_it_fails() {
+        let interval = Duration::from_secs(7200);
+        let (mut delays, mut longest) = (Delays::new(interval), DELAY);
+        for _ in 0..10 {
+            let delay = delays.failed(None);
+            assert!(longest / 2 <= delay && delay <= longest, "{delay:?} of {longest:?}");
+            longest = (2 * longest).min(DELAY_CEILING);
+        }
+        let asked = Duration::from_secs(9000);
+        assert!(asked <= delays.failed(Some(asked)));
+        for _ in 0..3 {
+            let delay = delays.succeeded();
+            assert!(interval / 2 <= delay && delay <= interval, "{delay:?}");
+        }
+        assert!(delays.failed(None) <= DELAY, "the delays begin again after a success");
+    }
 
     #[test]
     fn templates_name_the_file_of_a_day() {
