@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use axum::body::Body;
 use axum::http::{Request, StatusCode};
-use graphfix::aiding::bases::NewBase;
+use graphfix::aiding::bases::{BaseId, NewBase};
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::clock::Clock;
 use graphfix::session::{SessionId, SessionLimits, SessionUpdate, Sessions};
@@ -201,6 +201,29 @@ async fn a_base_whose_commit_is_cut_off_is_known() {
         }
         aiding.bases.create(NewBase::default()).await.unwrap();
         assert_eq!(aiding.bases.list().await.len(), 2);
+    })
+    .await;
+}
+
+/// The connection is cut while a base is deleted. A base that the server has deleted takes no more
+/// epochs, which would be removed.
+#[tokio::test]
+async fn a_base_whose_deletion_is_cut_off_is_known() {
+    on_postgres(async |database| {
+        let proxy = Proxy::before(&database.url).await;
+        let store = Store::open(&proxy.url(&database.url)).await.unwrap();
+        let aiding = AidingDesk::open(store, AidingLimits::service()).await.unwrap();
+        let created = aiding.bases.create(NewBase::default()).await.unwrap();
+        let id = BaseId::parse(&created.name.id).unwrap();
+        for (mode, count) in [(Mode::CutBeforeCommit, 1), (Mode::CutAfterCommit, 0)] {
+            proxy.set(mode);
+            let deleted = aiding.bases.delete(&id).await;
+            assert_eq!(proxy.mode(), Mode::Pass, "nothing was cut");
+            assert_eq!(deleted.is_ok(), mode == Mode::CutAfterCommit, "{deleted:?}");
+            assert_eq!(aiding.bases.list().await.len(), count, "{mode:?}");
+        }
+        let refused = aiding.bases.push(&id, Vec::new()).await.unwrap_err();
+        assert_eq!(refused.code().name(), "BASE_NOT_FOUND", "{refused}");
     })
     .await;
 }

@@ -353,8 +353,18 @@ impl BaseBroker {
             let (object, change) = (id.as_str(), format!("label {label:?}"));
             author.does(Act { call: "Bases.Delete", tenant, object, change }, now)
         });
-        if !self.store.delete_base(base.name().key, now, entry.as_ref()).await? {
-            return Err(AidingError::BaseInUse { id: id.to_string() });
+        let key = base.name().key;
+        match self.store.delete_base(key, now, entry.as_ref()).await {
+            Ok(true) => {}
+            Ok(false) => return Err(AidingError::BaseInUse { id: id.to_string() }),
+            Err(error) => {
+                // If only the answer to the commit was lost, the base is no longer stored.
+                base.stored().outdated = true;
+                let stored = self.store.bases().await.map_err(|_| error.clone())?;
+                if stored.iter().any(|row| row.key == key) {
+                    return Err(error.into());
+                }
+            }
         }
         self.write().remove(id);
         Ok(())

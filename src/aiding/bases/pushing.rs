@@ -94,7 +94,7 @@ impl BaseBroker {
         let base = self.base(id)?;
         let _turn = base.pushing.lock().await;
         self.base(id)?; // Not deleted meanwhile.
-        self.refresh(&base).await?;
+        self.refresh(id, &base).await?;
         // Decided here, because another push may have set the position meanwhile.
         let site = site.and_then(|site| site.over(base.stored().site()));
         let site = site.map(|site| self.antennas.calibrated(site, base.stored().site()));
@@ -180,14 +180,20 @@ impl BaseBroker {
     }
 
     /// Loads a base again from the store, if a commit has left its stored state unknown.
-    async fn refresh(&self, base: &Base) -> Result<(), AidingError> {
+    ///
+    /// # Errors
+    /// The commit has deleted it, or the store fails.
+    async fn refresh(&self, id: &BaseId, base: &Base) -> Result<(), AidingError> {
         if !base.stored().outdated {
             return Ok(());
         }
         let rows = self.store.bases().await?;
-        let sites = rows.into_iter().find(|row| row.key == base.name().key).map(|row| row.sites);
+        let Some(row) = rows.into_iter().find(|row| row.key == base.name().key) else {
+            self.write().remove(id);
+            return self.base(id).map(drop);
+        };
         let (epochs, stored_unix_ms) = self.store.base_epochs(base.name().key).await?;
-        *base.stored() = BaseEpochs::new(sites.unwrap_or_default(), epochs, stored_unix_ms);
+        *base.stored() = BaseEpochs::new(row.sites, epochs, stored_unix_ms);
         Ok(())
     }
 
