@@ -18,6 +18,7 @@ use crate::support::sessions::{created, desk, epoch};
 on_both_databases!(
     a_populated_database_of_the_eighth_schema_is_upgraded,
     a_populated_database_of_the_sixteenth_schema_is_upgraded,
+    stored_navigation_data_have_their_accounts,
 );
 
 const HASH: &str = "87fd338087fd338087fd338087fd338087fd338087fd338087fd338087fd3380";
@@ -262,4 +263,30 @@ async fn a_populated_database_of_the_sixteenth_schema_is_upgraded(database: Data
     check(&store, &open, 2 * EPOCHS as usize).await;
     sessions.drain().await;
     store.close().await;
+}
+
+/// Migration 85: superseded navigation data are counted by account.
+async fn stored_navigation_data_have_their_accounts(database: Database) {
+    make_schema(&database, 84).await;
+    let sources = ["upload", "device", "device ses_1", "device ses_2", "device tenant a"];
+    for (number, source) in sources.into_iter().enumerate() {
+        let ephemeris = format!(
+            "INSERT INTO ephemerides (satellite, toe_ns, message, toc_ns, issue, since, until, \
+             source, stored_unix_ms, content) \
+             VALUES ('G01', {number}, 'LNAV', 0, 0, 0, 1, '{source}', 0, '')"
+        );
+        let record = format!(
+            "INSERT INTO navigation_records (kind, since, until, source, stored_unix_ms, content) \
+             VALUES ('klobuchar-gps', {number}, 9, '{source}', 0, '')"
+        );
+        database.execute(&ephemeris).await;
+        database.execute(&record).await;
+    }
+    database.store().await;
+    for table in ["ephemerides", "navigation_records"] {
+        for (account, rows) in [("", 2), ("device", 2), ("device tenant a", 1)] {
+            let of_account = format!("{table} WHERE account = '{account}'");
+            assert_eq!(database.count(&of_account).await, rows, "{of_account}");
+        }
+    }
 }
