@@ -1,14 +1,19 @@
 //! The rover's pseudoranges, corrected by those of the base.
 //!
-//! In a single difference z the errors of orbit, satellite clock and atmosphere cancel, and the
-//! clock of the base enters. The rover's Doppler and phases do not follow that clock, so it is
-//! added again:
+//! The single difference z = P_rover − P_base is free of the errors of orbit, satellite clock and
+//! atmosphere, but it contains −c·δt_b, the clock offset of the base (m). The rover's Doppler and
+//! phases do not contain it. So the offset is added to z, and pseudoranges, Doppler and phases then
+//! have one clock, that of the rover:
 //!
-//! P = z + c_b,  c_b(t) = c_b(t − Δt) + median of the changes of the base's residuals
+//! P = z + c·δt_b
 //!
-//! The residual of the base is its pseudorange without range, satellite clock and troposphere. It
-//! consists of the base's clock and the ionospheric delay, which differs between satellites. Only
-//! changes count, so that c_b makes no step when a satellite comes or goes.
+//! The offset is estimated from the base's residuals, which are its pseudoranges less range,
+//! satellite clock and troposphere. A residual is the clock offset plus the ionospheric delay, and
+//! the delay differs between satellites. So only the change of each satellite's residual counts:
+//!
+//! c·δt_b(t) = c·δt_b(t − Δt) + median of the changes of the residuals since t − Δt
+//!
+//! The offset therefore makes no step when a satellite comes or goes.
 
 use crate::gnss::SatelliteId;
 use crate::positioning::measurements::CorrectedRanges;
@@ -17,9 +22,10 @@ use crate::snapshot::state_fields;
 
 use super::SingleDifferences;
 
-/// The clock of the base (m), and its residuals at the last epoch.
+/// The clock offset of the base, and its residuals at the last epoch.
 #[derive(Debug, Default)]
 pub(crate) struct BaseClock {
+    /// c·δt_b (m).
     clock_m: f64,
     /// In order of the satellites.
     residuals_m: Vec<(SatelliteId, f64)>,
