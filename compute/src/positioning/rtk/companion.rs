@@ -109,12 +109,13 @@ impl Companion {
 
     /// Solves an epoch without integers, that was differenced against the base.
     ///
-    /// `again` differences an earlier epoch at a position.
+    /// `difference_at` differences an epoch against the base, for a rover at a position; false where
+    /// that is impossible. The anchor's epoch is differenced by it when the chain begins there.
     pub(crate) fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
         differences: &mut SingleDifferences,
-        again: impl FnOnce(&EpochInputs<'_>, Ecef, &mut SingleDifferences) -> bool,
+        difference_at: impl FnOnce(&EpochInputs<'_>, Ecef, &mut SingleDifferences) -> bool,
         scratch: &mut CompanionScratch,
     ) -> Solution {
         let CompanionScratch { window, corrected, numbers } = scratch;
@@ -124,7 +125,7 @@ impl Companion {
         self.clock.correct(differences, &mut now);
         if let Some(anchor) = anchor.filter(|_| self.window.is_empty()) {
             let of_anchor = EpochInputs { epoch: &anchor.epoch, ..*inputs };
-            if again(&of_anchor, anchor.position, differences) {
+            if difference_at(&of_anchor, anchor.position, differences) {
                 self.clock.correct(differences, corrected);
                 let of_anchor = EpochInputs { corrected: Some(corrected), ..of_anchor };
                 self.window.begin_at(&anchor.known(), &of_anchor, window);

@@ -432,11 +432,12 @@ impl<S: RelativeSolver> Relative<S> {
             return solution;
         };
         let inputs = EpochInputs { setup, ..*inputs };
-        let again = |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
-            base.difference(inputs, at, aiding.station, differences).is_ok()
-        };
+        let difference_at =
+            |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
+                base.difference(inputs, at, aiding.station, differences).is_ok()
+            };
         let differences = &mut scratch.intake.differences;
-        let other = companion.advance(&inputs, differences, again, &mut scratch.companion);
+        let other = companion.advance(&inputs, differences, difference_at, &mut scratch.companion);
         better_known(solution, other, options)
     }
 

@@ -121,7 +121,7 @@ impl Tracking {
         }
         self.receivers.carrier_noise.learn(&mut scratch.residuals, (3 + groups) as f64);
         if matches!(verdict, Verdict::Contradicted) {
-            self.hold.drop_all(&mut self.arcs, true);
+            self.hold.refute(&mut self.arcs);
             return resolution.refused(Reason::FixRejected);
         }
         self.receivers.learn_biases(epoch, &by_phases.position, scratch);
@@ -156,10 +156,10 @@ impl Tracking {
         confirmation.update(&satellites, question.options.probability_min, test);
         hold.reliability = confirmation.probability();
         if was_confirmed && !confirmation.is_confirmed() {
-            hold.drop_all(arcs, true);
+            hold.refute(arcs);
         }
         hold.was_confirmed |= confirmation.is_confirmed();
-        let is_repeated = FOUND_EPOCHS <= hold.consecutive_epochs;
+        let is_repeated = FOUND_EPOCHS <= hold.epochs_in_a_row;
         confirmation.is_confirmed() && (is_repeated || NEARLY_CERTAIN <= probability)
     }
 

@@ -15,8 +15,9 @@ pub(crate) const NEARLY_CERTAIN: f64 = 0.9999;
 /// The history of the held integers.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct HoldState {
-    /// Consecutive epochs that found the same integers.
-    pub(crate) consecutive_epochs: u32,
+    /// Epochs in a row whose search of all ambiguities found the same integers. It stays while held
+    /// integers are accepted without such a search.
+    pub(crate) epochs_in_a_row: u32,
     pub(crate) probability: f64,
     /// Factor on `probability`, from the searches without one satellite.
     pub(crate) reliability: f64,
@@ -33,7 +34,7 @@ pub(crate) struct HoldState {
 }
 
 snapshot_fields!(HoldState {
-    consecutive_epochs,
+    epochs_in_a_row,
     probability,
     reliability,
     ratio,
@@ -79,21 +80,27 @@ impl HoldState {
 
     /// Records that a search of all ambiguities found the integers.
     pub(crate) fn found(&mut self, found: &Found) {
-        self.consecutive_epochs += 1;
+        self.epochs_in_a_row += 1;
         self.probability = found.probability.min(CERTAIN);
         (self.ratio, self.success_rate) = (found.ratio, Some(found.success_rate));
     }
 
     /// Records that a search of all ambiguities found no integers.
     pub(crate) fn missed(&mut self) {
-        self.consecutive_epochs = 0;
+        self.epochs_in_a_row = 0;
     }
 
-    /// Drops all integers, because they are wrong or because too few are left.
-    pub(crate) fn drop_all(&mut self, arcs: &mut Arcs, are_wrong: bool) {
-        arcs.drop_held();
-        let refuted = if are_wrong { Some(self.period) } else { self.refuted };
-        let (period, datums) = (self.period + 1, self.datums);
-        *self = Self { period, refuted, datums, ..Self::default() };
+    /// Drops all integers as wrong: epochs of this period are not conditioned on them in retrospect.
+    pub(crate) fn refute(&mut self, arcs: &mut Arcs) {
+        self.refuted = Some(self.period);
+        self.release(arcs);
+    }
+
+    /// Drops all integers without a verdict: too few are left, or the float solution is too far
+    /// from them. A new period begins.
+    pub(crate) fn release(&mut self, arcs: &mut Arcs) {
+        arcs.forget_integers();
+        let Self { period, refuted, datums, .. } = *self;
+        *self = Self { period: period + 1, refuted, datums, ..Self::default() };
     }
 }

@@ -78,9 +78,8 @@ struct Judgement<'a> {
     odds_divisor: f64,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
-    /// Whether integers were held. Once all ambiguities are searched, the float solution no longer
-    /// agrees with them.
-    were_confirmed: bool,
+    /// Whether enough epochs in a row have found confirmed integers, so that these are held.
+    are_held: bool,
 }
 
 impl Judgement<'_> {
@@ -137,23 +136,23 @@ impl IntegerSearch {
         }
         let joint = self.differences.joint(float);
         let lambda = lambda_options(options, noise.scale);
-        let were_confirmed = is_confirmed && options.hold_epochs <= hold.consecutive_epochs;
+        let are_held = is_confirmed && options.hold_epochs <= hold.epochs_in_a_row;
         let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, were_confirmed };
+        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, are_held };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         let of_held = Judgement { options: &held, ..judgement };
-        if were_confirmed && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held)
-        {
+        if are_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
             return resolution;
         }
+        let period = hold.period;
         let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
-        if resolution.outcome.is_err() && !were_confirmed {
-            hold.missed();
-        }
-        // Held integers that no longer agree count as wrong only if others are found.
-        let were_found = resolution.outcome.is_ok();
-        if were_confirmed && !were_found && hold_epochs <= hold.consecutive_epochs {
-            hold.drop_all(arcs, false);
+        let is_same_period = hold.period == period;
+        if resolution.outcome.is_err() && is_same_period {
+            // Without other integers there is no proof that the held ones are wrong.
+            match are_held {
+                true => hold.release(arcs),
+                false => hold.missed(),
+            }
         }
         resolution
     }
@@ -266,7 +265,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, were_confirmed, .. } = *judgement;
+        let Judgement { options, odds_divisor, are_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -291,11 +290,12 @@ impl IntegerSearch {
                 if probability <= hold.probability {
                     continue;
                 }
-                hold.drop_all(arcs, true);
+                hold.refute(arcs);
                 return resolution;
             }
-            if were_confirmed {
-                hold.drop_all(arcs, false);
+            if are_held {
+                // The float solution is too far from them: it has its own integers from here on.
+                hold.release(arcs);
             }
             let proven_after = judgement.proven_after(probability);
             let held = self.hold_found(arcs, hold, &wanted, proven_after);
@@ -466,7 +466,7 @@ mod tests {
         options.rtk.hold_epochs = 1;
         let mut arcs = arcs(0);
         hold_all(&mut arcs, [0, 1].into_iter());
-        let mut hold = HoldState { consecutive_epochs: 1, datums: 1, ..HoldState::default() };
+        let mut hold = HoldState { epochs_in_a_row: 1, datums: 1, ..HoldState::default() };
         let noise = Receivers::new().known_noise(&Residuals::NONE);
         let (time, float) = (GpsTime::EPOCH, &float());
         let question = IntegerQuestion { time, float, noise, options: &options.rtk };
@@ -501,7 +501,7 @@ mod tests {
     #[test]
     fn the_more_probable_integers_win() {
         let others: Vec<i64> = (0..N as i64).map(|k| k * k + k % 2).collect();
-        for consecutive_epochs in [1, 1000] {
+        for epochs_in_a_row in [1, 1000] {
             let with_others = || {
                 let mut arcs = arcs(0);
                 hold_all(&mut arcs, others.iter().copied());
@@ -509,11 +509,11 @@ mod tests {
             };
             let probability = 1.0 - 1e-6;
             let certain =
-                HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+                HoldState { epochs_in_a_row, probability, period: 4, ..HoldState::default() };
             let (mut known, mut hold) = (with_others(), certain);
             assert!(resolved(&mut known, &mut hold, &float()).outcome.is_err());
             assert_eq!(hold.refuted, None);
-            match consecutive_epochs {
+            match epochs_in_a_row {
                 1 => assert_eq!(integers(&known), others),
                 _ => assert!(known.list().iter().all(|arc| arc.held.is_none()), "out of reach"),
             }
@@ -532,9 +532,9 @@ mod tests {
     fn held_integers_stay_while_none_fit_better() {
         let mut arcs = arcs(0);
         hold_all(&mut arcs, (0..N as i64).map(|k| k * k));
-        let (consecutive_epochs, probability) = (1000, 1.0 - 1e-6);
+        let (epochs_in_a_row, probability) = (1000, 1.0 - 1e-6);
         let mut hold =
-            HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+            HoldState { epochs_in_a_row, probability, period: 4, ..HoldState::default() };
         let mut off = float();
         for (k, ambiguity) in off.ambiguities.iter_mut().enumerate() {
             *ambiguity += 0.15 * (1.7 * k as f64).sin();
@@ -544,7 +544,7 @@ mod tests {
         assert_eq!(fixed.held, N - 1);
         // All of them are proven, so the position by these is the fixed one.
         assert_eq!(fixed.by_proven.unwrap().position, fixed.position);
-        assert_eq!((hold.period, hold.consecutive_epochs), (4, 1000));
+        assert_eq!((hold.period, hold.epochs_in_a_row), (4, 1000));
     }
 
     /// An arc that joins proven integers is on trial. Another integer at the next epoch replaces
@@ -553,9 +553,9 @@ mod tests {
     fn new_integers_are_on_trial() {
         let mut arcs = arcs(0);
         hold_all(&mut arcs, (0..N as i64 - 1).map(|k| k * k));
-        let (consecutive_epochs, probability) = (1000, 1.0 - 1e-6);
+        let (epochs_in_a_row, probability) = (1000, 1.0 - 1e-6);
         let mut hold =
-            HoldState { consecutive_epochs, probability, period: 4, ..HoldState::default() };
+            HoldState { epochs_in_a_row, probability, period: 4, ..HoldState::default() };
         let new = |arcs: &Arcs| {
             let arc = &arcs.list()[N - 1];
             (arc.held.map(|held| held.cycles), arc.found, arc.is_proven)

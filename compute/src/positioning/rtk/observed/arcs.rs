@@ -343,7 +343,7 @@ impl Arcs {
     }
 
     /// Forgets the integers of all arcs.
-    pub(crate) fn drop_held(&mut self) {
+    pub(crate) fn forget_integers(&mut self) {
         self.list.iter_mut().for_each(CarrierArc::forget_integer);
     }
 

@@ -193,7 +193,7 @@ impl Chain {
         };
         let is_late = options.graph.window_s < newest.time - oldest.time;
         let is_over = options.rtk.window_epochs < count;
-        let is_known = 0 < self.tracking.hold.consecutive_epochs;
+        let is_known = 0 < self.tracking.hold.epochs_in_a_row;
         is_over || EPOCHS_LEAST < count && (is_late || is_known)
     }
 
@@ -272,12 +272,12 @@ mod tests {
     use crate::config::{Mode, Profile};
     use crate::positioning::rtk::observed::RtkEpoch;
 
-    /// Epochs left in a window of `count`, one each `interval_s`, after `consecutive_epochs` with
+    /// Epochs left in a window of `count`, one each `interval_s`, after `epochs_in_a_row` with
     /// integers.
-    fn left(count: usize, interval_s: f64, consecutive_epochs: u32) -> usize {
+    fn left(count: usize, interval_s: f64, epochs_in_a_row: u32) -> usize {
         let options = PositioningOptions::new(Mode::RtkFgo, Profile::General);
         let mut chain = Chain::empty();
-        chain.tracking.hold.consecutive_epochs = consecutive_epochs;
+        chain.tracking.hold.epochs_in_a_row = epochs_in_a_row;
         for k in 0..count {
             let time = GpsTime::EPOCH + k as f64 * interval_s;
             chain.epochs.push(RtkEpoch { time, ..RtkEpoch::default() });
