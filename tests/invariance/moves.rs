@@ -100,6 +100,54 @@ fn a_rover_that_was_carried_away_is_fixed_again() {
     }
 }
 
+/// A rover of 140 s whose epochs of 20 s are missing. With `slips`, the phases after that differ by
+/// whole cycles from satellite to satellite. No flag tells.
+fn paused(slips: bool) -> Vec<(Solution, Option<f64>)> {
+    let scenario = Scenario { duration_s: 140.0, ..Scenario::rtk_open() };
+    let base = base_of(&scenario);
+    let simulator = Simulator::new(scenario, 5);
+    let navigation = Navigation::clone(simulator.navigation());
+    let mut seen: Vec<Seen> = simulator
+        .map(|epoch| Seen { rover: epoch.rover, base: epoch.base, truth: epoch.position })
+        .collect();
+    for observation in seen[80..].iter_mut().flat_map(|seen| &mut seen.rover.observations) {
+        observation.loss_of_lock = false;
+        let cycles = f64::from(observation.satellite.number) * 37.0 % 97.0 - 48.0;
+        if let (true, Some(phase)) = (slips, &mut observation.carrier_phase) {
+            phase.0 += cycles;
+        }
+    }
+    seen.drain(60..80);
+    answered(Mode::RtkFgo, base, &seen, &navigation)
+}
+
+/// The phases after a pause agree, so their integers stay.
+#[test]
+fn integers_survive_a_pause_without_slips() {
+    let answers = paused(false);
+    assert_eq!(answers[59].0.status, Status::Fixed);
+    for (solution, off_m) in &answers[60..] {
+        assert_eq!(solution.status, Status::Fixed);
+        assert!(off_m.unwrap() < 0.1, "{off_m:?}");
+    }
+}
+
+/// A receiver that lost all satellites in a pause: the arcs from before end, and new integers are
+/// found at once. If the arcs went on, a few phases that agree by chance would hold a position 4 m
+/// off for 45 s.
+#[test]
+fn phases_that_all_slip_in_a_pause_are_found_out() {
+    let answers = paused(true);
+    assert_eq!(answers[59].0.status, Status::Fixed);
+    let after = &answers[60..];
+    for (second, (solution, off_m)) in after.iter().enumerate() {
+        let least_m = if solution.status == Status::Fixed { 0.1 } else { 1.5 };
+        assert!(off_m.unwrap() < least_m, "{:?} {off_m:?} at {second}", solution.status);
+    }
+    let fixed = after.iter().filter(|(solution, _)| solution.status == Status::Fixed).count();
+    assert!(50 < fixed, "{fixed}");
+}
+
 /// Where no arc continues from epoch to epoch, each is fixed from itself. None is fixed elsewhere.
 #[test]
 fn sparse_epochs_are_fixed_where_the_rover_is() {

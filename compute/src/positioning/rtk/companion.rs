@@ -9,7 +9,7 @@
 
 use nalgebra::Matrix3;
 
-use crate::gnss::{Ecef, Epoch, LocalFrame, Solution};
+use crate::gnss::{Ecef, Epoch, GpsTime, LocalFrame, Observation, Solution};
 use crate::positioning::differencing::{BaseClock, SingleDifferences};
 use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::fgo::{KnownPosition, SlidingWindow, WindowScratch};
@@ -18,6 +18,7 @@ use crate::positioning::setup::Setup;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::answer::horizontal_m2;
+use super::observed::Tracked;
 
 /// Largest standard deviation of a position that is not compared with rival positions (m). A rival
 /// at 8 m then has odds of e⁻¹⁰; at lower odds the comparison does not move a settled chain either.
@@ -66,6 +67,31 @@ pub(crate) struct CompanionScratch {
     numbers: Vec<f64>,
 }
 
+/// An epoch of the rover in which all carriers that may have slipped have a loss of lock.
+#[derive(Debug)]
+pub(crate) struct MarkedEpoch(Epoch);
+
+impl Default for MarkedEpoch {
+    fn default() -> Self {
+        Self(Epoch::new(GpsTime::EPOCH))
+    }
+}
+
+impl MarkedEpoch {
+    /// `epoch`, with a loss of lock at all carriers in `lost`.
+    pub(crate) fn of<'a>(&'a mut self, epoch: &'a Epoch, lost: &[Tracked]) -> &'a Epoch {
+        let is_lost = |o: &Observation| lost.contains(&(o.satellite, o.code));
+        if !epoch.observations.iter().any(|o| !o.loss_of_lock && is_lost(o)) {
+            return epoch;
+        }
+        self.0.clone_from(epoch);
+        for observation in &mut self.0.observations {
+            observation.loss_of_lock |= is_lost(observation);
+        }
+        &self.0
+    }
+}
+
 impl Companion {
     /// The companion before the first epoch.
     pub(crate) fn new(setup: &Setup) -> Self {
@@ -109,8 +135,9 @@ impl Companion {
 
     /// Solves an epoch without integers, that was differenced against the base.
     ///
-    /// `difference_at` differences an epoch against the base, for a rover at a position; false where
-    /// that is impossible. The anchor's epoch is differenced by it when the chain begins there.
+    /// `difference_at` differences an epoch against the base, for a rover at a position; false
+    /// where that is impossible. The anchor's epoch is differenced by it when the chain begins
+    /// there.
     pub(crate) fn advance(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -151,5 +178,28 @@ impl Anchor {
         let covariance = rotation * self.covariance * rotation.transpose();
         let sigma_m = covariance.diagonal().map(f64::sqrt);
         KnownPosition { position: self.position, sigma_m }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gnss::{Constellation, ObservationCode, SatelliteId};
+
+    /// Only carriers that may have slipped are marked; without any the epoch is not copied.
+    #[test]
+    fn carriers_that_may_have_slipped_are_marked() {
+        let code = ObservationCode::parse("1C").unwrap();
+        let satellite = |number| SatelliteId::new(Constellation::Gps, number).unwrap();
+        let mut epoch = Epoch::new(GpsTime::EPOCH);
+        epoch.observations.extend((1..=3).map(|n| Observation::empty(satellite(n), code)));
+        epoch.observations[2].loss_of_lock = true;
+        let mut marked = MarkedEpoch::default();
+        let lost = |epoch: &Epoch| -> Vec<bool> {
+            epoch.observations.iter().map(|o| o.loss_of_lock).collect()
+        };
+        let with = lost(marked.of(&epoch, &[(satellite(1), code)]));
+        assert_eq!([with, lost(&epoch)], [vec![true, false, true], vec![false, false, true]]);
+        assert!(std::ptr::eq(marked.of(&epoch, &[(satellite(3), code)]), &epoch));
     }
 }

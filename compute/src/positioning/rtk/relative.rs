@@ -4,145 +4,25 @@
 //! position is found, its observations are differenced, and the solver solves them. If not, an
 //! estimator without a base answers. The solver keeps its ambiguities while the base is missing.
 
-use std::fmt::Debug;
+use nalgebra::Vector3;
 
-use nalgebra::{SMatrix, Vector3};
-
-use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame, Reason, SatelliteId, Solution, Status};
+use crate::gnss::{
+    Ecef, Enu, GpsTime, LocalFrame, Observation, Reason, SatelliteId, Solution, Status,
+};
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::engine::{Engine, EpochInputs};
 use crate::positioning::factors::VELOCITY;
-use crate::positioning::fgo::KnownPosition;
 use crate::positioning::setup::Setup;
 use crate::positioning::starts::FRAME_LIMIT_M;
-use crate::snapshot::{Snapshot, state_fields};
+use crate::snapshot::state_fields;
 
-use super::ambiguity::Resolution;
 use super::answer::{AnswerParts, better_known, solution};
-use super::companion::{Companion, CompanionScratch};
+use super::companion::{Companion, CompanionScratch, MarkedEpoch};
 use super::observed::{
-    Arcs, BaseTracking, Intake, Judged, PseudorangeWatch, Received, RowScratch, RtkEpoch, STATE,
-    State, UsableBase,
+    Arcs, BaseTracking, Intake, Judged, PseudorangeWatch, Received, RowScratch, State, UsableBase,
 };
-use super::tracking::Tracking;
-
-/// A solver of differences: a window of epochs, or a filter.
-pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
-    /// The estimator that answers while no base can be used.
-    type Alone: Engine;
-    /// The epochs that may be revised.
-    type Past: Clone + Debug + Snapshot;
-    /// Scratch of the solver.
-    type Scratch: Default + Debug;
-
-    /// Whether its positions without integers are tested against rival positions.
-    const TESTS_RIVALS: bool = true;
-
-    /// Whether a chain without ambiguities accompanies the epochs without integers.
-    const IS_ACCOMPANIED: bool = false;
-
-    /// A solver before its first epoch.
-    fn new() -> Self;
-
-    /// Begins the estimator without a base at the last position with integers.
-    fn begin_alone(
-        _alone: &mut Self::Alone,
-        _known: &KnownPosition,
-        _inputs: &EpochInputs<'_>,
-        _scratch: &mut <Self::Alone as Engine>::Scratch,
-    ) {
-    }
-
-    /// An empty list of past epochs; it keeps epochs only if `revises`.
-    fn past(revises: bool) -> Self::Past;
-
-    /// Time of the newest epoch; `None` if the solver must restart.
-    fn last_time(&self) -> Option<GpsTime>;
-
-    /// The newest state, extrapolated to `time` by its velocity.
-    fn predicted(&self, time: GpsTime) -> State;
-
-    /// The local frame of the states.
-    fn frame(&self) -> &LocalFrame;
-
-    /// The arcs, held integers and noise scales.
-    fn tracking(&mut self) -> &mut Tracking;
-
-    /// Factor on the variance of a position without integers.
-    fn float_factor(&mut self) -> f64 {
-        self.tracking().receivers.pseudorange_noise.variance_factor()
-    }
-
-    /// Drops all states and arcs, and sets the frame's origin to `start`.
-    fn begin(&mut self, start: Ecef, guess: &State);
-
-    /// Drops states, arcs, noise scales and biases, because the base is another one.
-    fn forget(&mut self);
-
-    /// Solves an epoch and resolves its integers.
-    ///
-    /// # Errors
-    /// The epoch cannot be solved. The solver has then dropped its states and arcs.
-    fn solve(
-        &mut self,
-        new: NewEpoch<'_>,
-        past: &mut Self::Past,
-        scratch: &mut Self::Scratch,
-    ) -> Result<Resolved, Reason>;
-
-    /// The epoch that was solved last.
-    fn epoch<'a>(&'a self, scratch: &'a Self::Scratch) -> &'a RtkEpoch;
-
-    /// Records an answer, and whether it is relative to the base. Revises the epochs that leave the
-    /// window.
-    fn remember(
-        &self,
-        _answer: (&Solution, bool),
-        _inputs: &EpochInputs<'_>,
-        _past: &mut Self::Past,
-        _scratch: &mut Self::Scratch,
-        _revisions: &mut Vec<Solution>,
-    ) {
-    }
-
-    /// Revises all epochs for the last time.
-    fn answer_all(
-        &self,
-        _setup: &Setup,
-        _past: &mut Self::Past,
-        _scratch: &mut Self::Scratch,
-        _revisions: &mut Vec<Solution>,
-    ) {
-    }
-
-    /// Makes the last answer of each epoch final, because the states no longer exist.
-    fn leave_all(_past: &mut Self::Past, _revisions: &mut Vec<Solution>) {}
-
-    /// Time of the oldest epoch that may be revised.
-    fn oldest(_past: &Self::Past) -> Option<GpsTime> {
-        None
-    }
-}
-
-/// An epoch to be solved.
-pub(crate) struct NewEpoch<'a> {
-    pub(crate) time: GpsTime,
-    /// Its approximate state.
-    pub(crate) guess: State,
-    pub(crate) differences: &'a SingleDifferences,
-    pub(crate) setup: &'a Setup,
-    /// Satellites whose arcs ended; the solver appends to the list.
-    pub(crate) slipped: &'a mut Vec<SatelliteId>,
-}
-
-/// The state of an epoch, and the outcome of the integer search.
-pub(crate) struct Resolved {
-    pub(crate) state: State,
-    pub(crate) covariance: SMatrix<f64, STATE, STATE>,
-    /// Whether the state's velocity is known.
-    pub(crate) has_velocity: bool,
-    pub(crate) resolution: Resolution,
-}
+use super::pause::Pause;
+use super::relative_solver::{NewEpoch, RelativeSolver, Resolved};
 
 /// An estimator relative to a base.
 #[derive(Debug)]
@@ -178,6 +58,7 @@ pub(crate) struct RelativeScratch<S: RelativeSolver> {
     rows: RowScratch,
     alone: <S::Alone as Engine>::Scratch,
     companion: CompanionScratch,
+    marked: MarkedEpoch,
     solver: S::Scratch,
 }
 
@@ -188,6 +69,7 @@ impl<S: RelativeSolver> Default for RelativeScratch<S> {
             rows: RowScratch::default(),
             alone: Default::default(),
             companion: CompanionScratch::default(),
+            marked: MarkedEpoch::default(),
             solver: S::Scratch::default(),
         }
     }
@@ -292,10 +174,12 @@ impl<S: RelativeSolver> Relative<S> {
             self.solver.forget();
         }
         let (time, rtk) = (inputs.epoch.time, &inputs.options().rtk);
-        let Intake { single_point, slipped, .. } = &mut scratch.intake;
+        let Intake { single_point, slipped, lost, .. } = &mut scratch.intake;
         slipped.clear();
-        let arcs = &mut self.solver.tracking().arcs;
-        arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
+        lost.clone_from(&received.losses.rover);
+        let tracking = self.solver.tracking();
+        tracking.arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
+        tracking.pause = Pause::of(&received.losses, &tracking.pause, &tracking.arcs);
         let base = self.base.usable(inputs, single_point)?;
         let mut guess = self.locate(inputs, scratch, revisions)?;
         let mut rover = position(self.solver.frame(), &guess);
@@ -321,7 +205,7 @@ impl<S: RelativeSolver> Relative<S> {
     }
 
     /// The approximate state of the rover. Restarts the solver if it cannot predict one, or if all
-    /// arcs have ended: the prediction is then worse than the epoch's own position.
+    /// arcs have ended in a long pause: the prediction is then worse than the epoch's own position.
     fn locate(
         &mut self,
         inputs: &EpochInputs<'_>,
@@ -330,7 +214,11 @@ impl<S: RelativeSolver> Relative<S> {
     ) -> Result<State, Reason> {
         let (time, options) = (inputs.epoch.time, inputs.options());
         let (mut start, move_m) = (None, self.move_m.take());
-        let longest_s = options.graph.gap_s.min(options.rtk.arc_gap_s);
+        let has_arcs = !self.solver.tracking().arcs.list().is_empty();
+        let longest_s = match has_arcs {
+            true => options.graph.gap_s,
+            false => options.graph.gap_s.min(options.rtk.arc_gap_s),
+        };
         if let Some(last) = self.solver.last_time() {
             let mut guess = self.solver.predicted(time);
             let is_near = guess.fixed_rows::<3>(0).norm() < FRAME_LIMIT_M;
@@ -393,7 +281,11 @@ impl<S: RelativeSolver> Relative<S> {
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         let (time, setup) = (inputs.epoch.time, inputs.setup);
         let new = NewEpoch { time, guess, differences, setup, slipped };
-        let resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
+        let mut resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
+        if resolved.is_err() && self.solver.tracking().pause.is_refuted() {
+            S::leave_all(&mut self.past, revisions);
+            resolved = self.solve_alone(inputs, &base, scratch, revisions);
+        }
         let resolved = resolved.inspect_err(|_| S::leave_all(&mut self.past, revisions))?;
         self.reconsider(&resolved, setup.options.rtk.single_epoch, scratch);
         let Intake { differences, slipped, .. } = &mut scratch.intake;
@@ -414,6 +306,27 @@ impl<S: RelativeSolver> Relative<S> {
         }))
     }
 
+    /// Solves an epoch without any arc of earlier ones, from its own position, because all of them
+    /// have slipped in a pause.
+    fn solve_alone(
+        &mut self,
+        inputs: &EpochInputs<'_>,
+        base: &UsableBase<'_>,
+        scratch: &mut RelativeScratch<S>,
+        revisions: &mut Vec<Solution>,
+    ) -> Result<Resolved, Reason> {
+        let guess = self.begin(inputs, own_start(inputs, scratch)?, scratch, revisions);
+        let rover = position(self.solver.frame(), &guess);
+        let Intake { differences, slipped, .. } = &mut scratch.intake;
+        self.base.difference(inputs, rover, base.station, differences)?;
+        let tracking = self.solver.tracking();
+        tracking.arcs.follow_code_clock(&mut differences.list);
+        tracking.pause.end();
+        let (time, setup) = (inputs.epoch.time, inputs.setup);
+        let new = NewEpoch { time, guess, differences, setup, slipped };
+        self.solver.solve(new, &mut self.past, &mut scratch.solver)
+    }
+
     /// The answer to an epoch that was solved. If it has no integers and the companion has a
     /// smaller covariance, it is the companion's answer.
     fn accompany(
@@ -431,13 +344,18 @@ impl<S: RelativeSolver> Relative<S> {
         let (Some(setup), Some(aiding)) = (&inputs.setup.corrected, inputs.base) else {
             return solution;
         };
-        let inputs = EpochInputs { setup, ..*inputs };
+        let RelativeScratch { intake, marked, companion: memory, .. } = scratch;
+        if self.solver.tracking().pause.may_hide_slips(inputs.options().rtk.probability_min) {
+            let carrier = |o: &Observation| (o.satellite, o.code);
+            intake.lost.extend(inputs.epoch.observations.iter().map(carrier));
+        }
+        let epoch = marked.of(inputs.epoch, &intake.lost);
+        let inputs = EpochInputs { setup, epoch, ..*inputs };
         let difference_at =
             |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
                 base.difference(inputs, at, aiding.station, differences).is_ok()
             };
-        let differences = &mut scratch.intake.differences;
-        let other = companion.advance(&inputs, differences, difference_at, &mut scratch.companion);
+        let other = companion.advance(&inputs, &mut intake.differences, difference_at, memory);
         better_known(solution, other, options)
     }
 

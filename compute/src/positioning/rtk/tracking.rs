@@ -12,6 +12,7 @@ use super::ambiguity::{
     position_from_fixed_phases, subtract_common_cycles, subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
+use super::pause::{Pause, SolvedPhases};
 
 /// A fix whose phase residuals exceed this rms is rejected (σ).
 const MISFIT_SIGMAS: f64 = 4.0;
@@ -29,9 +30,11 @@ pub(crate) struct Tracking {
     /// The period of held integers that `confirmation` refers to.
     pub(crate) confirmed_period: Option<u32>,
     pub(crate) receivers: Receivers,
+    /// Before the newest epoch.
+    pub(crate) pause: Pause,
 }
 
-state_fields!(Tracking { arcs, hold, confirmation, confirmed_period, receivers });
+state_fields!(Tracking { arcs, hold, confirmation, confirmed_period, receivers, pause });
 
 /// An epoch that was solved.
 #[derive(Clone, Copy)]
@@ -62,6 +65,7 @@ impl Tracking {
             confirmation: Confirmation::default(),
             confirmed_period: None,
             receivers: Receivers::new(),
+            pause: Pause::NONE,
         }
     }
 
@@ -71,6 +75,17 @@ impl Tracking {
         self.receivers.last_pseudoranges.clear();
         self.hold = HoldState::default();
         self.confirmation.clear();
+    }
+
+    /// Judges by the phases of a solved epoch whether the arcs have kept their ambiguities over the
+    /// pause before it. Returns whether that is likelier than not.
+    pub(crate) fn has_kept_arcs(
+        &mut self,
+        solved: &SolvedPhases<'_>,
+        scratch: &mut RowScratch,
+    ) -> bool {
+        self.pause.judge(solved, &self.arcs, scratch);
+        !self.pause.is_refuted()
     }
 
     /// Resolves the integers of a solved epoch. A fix that its phases confirm also updates noise
@@ -86,6 +101,7 @@ impl Tracking {
         if !options.rtk.resolve {
             return Resolution::unresolved(self.arcs.present(epoch.time).count());
         }
+        self.hold.probability = self.hold.probability.min(self.pause.kept);
         let noise = self.receivers.known_noise(&residuals);
         let question = IntegerQuestion { time: epoch.time, float, noise, options: &options.rtk };
         let is_confirmed =

@@ -90,7 +90,8 @@ impl HoldState {
         self.epochs_in_a_row = 0;
     }
 
-    /// Drops all integers as wrong: epochs of this period are not conditioned on them in retrospect.
+    /// Drops all integers as wrong: epochs of this period are not conditioned on them in
+    /// retrospect.
     pub(crate) fn refute(&mut self, arcs: &mut Arcs) {
         self.refuted = Some(self.period);
         self.release(arcs);

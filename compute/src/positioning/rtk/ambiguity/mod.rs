@@ -24,4 +24,4 @@ pub(crate) use float::FloatSolution;
 pub(crate) use hold::{FOUND_EPOCHS, HoldState, NEARLY_CERTAIN};
 pub(crate) use integer_history::{HoldPeriod, IntegerHistory};
 pub(crate) use integers::{IntegerQuestion, IntegerSearch, Resolution, may_be_integer};
-pub(crate) use joint::{Joint, condition};
+pub(crate) use joint::{Joint, condition, scale_odds};

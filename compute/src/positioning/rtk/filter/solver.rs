@@ -7,7 +7,8 @@ use crate::positioning::rtk::ambiguity::IntegerSearch;
 use crate::positioning::rtk::observed::{
     NewRows, Residuals, RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, Slips, State, cut_slips, fill,
 };
-use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
+use crate::positioning::rtk::pause::SolvedPhases;
+use crate::positioning::rtk::relative_solver::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
 use crate::positioning::setup::Setup;
 use crate::positioning::starts::{LOST_S, START_M_S, start_frame};
@@ -130,6 +131,8 @@ impl RelativeSolver for FilterState {
             float: &gaussian.float(tracking.arcs.present(epoch.time)),
             residuals: Residuals::NONE,
         };
+        let (state, border) = (&gaussian.state(), gaussian.border());
+        tracking.has_kept_arcs(&SolvedPhases { epoch, state, border }, rows);
         let resolution = tracking.resolve(&solved, &setup.options, search, rows);
         let (state, covariance) = (gaussian.state(), gaussian.state_covariance());
         Ok(Resolved { state, covariance, has_velocity: true, resolution })

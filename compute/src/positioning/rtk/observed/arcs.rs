@@ -180,8 +180,8 @@ impl Arcs {
         self.flipped.clear();
     }
 
-    /// Ends the arcs that a receiver reports as lost and those without a phase for `gap_s` before
-    /// `time`; appends their satellites to `ended`.
+    /// Ends the arcs with a loss of lock, reported or likely, and those without a phase for `gap_s`
+    /// of observed time before `time`; appends their satellites to `ended`.
     pub(crate) fn end_lost(
         &mut self,
         losses: &Losses,
@@ -189,8 +189,9 @@ impl Arcs {
         gap_s: f64,
         ended: &mut Vec<SatelliteId>,
     ) {
-        let is_over =
-            |arc: &CarrierArc| gap_s < time - arc.last || losses.has(arc.satellite, arc.codes);
+        let is_over = |arc: &CarrierArc| {
+            gap_s < time - arc.last - losses.unobserved_s || losses.has(arc.satellite, arc.codes)
+        };
         self.end(is_over, ended);
     }
 

@@ -12,7 +12,7 @@ use crate::snapshot::state_fields;
 use super::losses::{LockWatch, Tracked};
 
 /// The newest base epoch, and the possible slips of the base since the rover's last epoch.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct BaseMemory {
     /// Name and last position of the base.
     station: Option<(String, Ecef)>,
@@ -20,6 +20,8 @@ pub(crate) struct BaseMemory {
     locks: LockWatch,
     /// Carriers that may have slipped.
     lost: Vec<Tracked>,
+    /// Probability that the base has kept lock where its epochs are missing.
+    survival: f64,
     /// Whether the base lost power.
     power_failed: bool,
     /// The stated position, and its check.
@@ -28,7 +30,22 @@ pub(crate) struct BaseMemory {
     checked: Option<GpsTime>,
 }
 
-state_fields!(BaseMemory { station, newest, locks, lost, power_failed, check, checked });
+state_fields!(BaseMemory { station, newest, locks, lost, survival, power_failed, check, checked });
+
+impl Default for BaseMemory {
+    fn default() -> Self {
+        Self {
+            station: None,
+            newest: None,
+            locks: LockWatch::default(),
+            lost: Vec::new(),
+            survival: 1.0,
+            power_failed: false,
+            check: None,
+            checked: None,
+        }
+    }
+}
 
 impl BaseMemory {
     /// Distance from the known base to this one (m), if this is another base.
@@ -47,14 +64,14 @@ impl BaseMemory {
     }
 
     /// Takes in the epochs that are new and not later than the rover's epoch at `time`.
-    pub(crate) fn take(&mut self, epochs: &[Epoch], time: GpsTime) {
+    pub(crate) fn take(&mut self, epochs: &[Epoch], time: GpsTime, gap_s: f64) {
         for epoch in epochs {
             let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
             if !is_new || BASE_LATER_S < epoch.time - time {
                 continue;
             }
             self.power_failed |= epoch.power_failure;
-            self.locks.take(epoch, &mut self.lost);
+            self.survival *= self.locks.take(epoch, gap_s, &mut self.lost).survival;
             match &mut self.newest {
                 Some(newest) => {
                     newest.time = epoch.time;
@@ -111,7 +128,8 @@ impl BaseMemory {
     }
 
     /// Whether the base lost power since the last call, and the carriers that may have slipped.
-    pub(crate) fn take_losses(&mut self) -> (bool, Vec<Tracked>) {
-        (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost))
+    pub(crate) fn take_losses(&mut self) -> (bool, Vec<Tracked>, f64) {
+        let survival = std::mem::replace(&mut self.survival, 1.0);
+        (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost), survival)
     }
 }

@@ -16,7 +16,7 @@ use crate::positioning::starts::are_refuting;
 use crate::snapshot::state_fields;
 
 use super::base::BaseMemory;
-use super::losses::{LockWatch, Losses};
+use super::losses::{LockWatch, Losses, Tracked};
 
 /// A base that can be used.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub(crate) struct UsableBase<'a> {
 }
 
 /// New information about the base and about slips at an epoch.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct Received {
     pub(crate) losses: Losses,
     /// Distance between the last epoch's base and this one (m), if the base is another one.
@@ -52,6 +52,8 @@ pub(crate) struct Intake {
     pub(crate) differences: SingleDifferences,
     /// Satellites whose arcs ended at this epoch.
     pub(crate) slipped: Vec<SatelliteId>,
+    /// Carriers that may have slipped at the rover.
+    pub(crate) lost: Vec<Tracked>,
     residuals_m: Vec<f64>,
 }
 
@@ -91,20 +93,20 @@ impl BaseTracking {
             return None;
         }
         self.last = Some(epoch.time);
-        let base = inputs.base.as_ref();
+        let (base, gap_s) = (inputs.base.as_ref(), inputs.options().rtk.arc_gap_s);
         let base_changed_m = base.and_then(|base| self.base.changed_m(base.station));
         if base_changed_m.is_some() {
             (self.base, self.levels) = (BaseMemory::default(), SignalLevels::default());
         }
         self.levels.learn(epoch);
         if let Some(base) = base {
-            self.base.take(base.epochs, epoch.time);
+            self.base.take(base.epochs, epoch.time, gap_s);
             self.base.know(base.station);
         }
         let base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
         let mut rover = Vec::new();
-        self.locks.take(epoch, &mut rover);
-        let (power_failed, base_lost) = self.base.take_losses();
+        let watched = self.locks.take(epoch, gap_s, &mut rover);
+        let (power_failed, base_lost, of_base) = self.base.take_losses();
         let losses = Losses {
             all: epoch.power_failure
                 || power_failed
@@ -112,6 +114,8 @@ impl BaseTracking {
                 || inputs.options().rtk.single_epoch,
             rover,
             base: base_lost,
+            survival: watched.survival * of_base,
+            unobserved_s: watched.unobserved_s,
         };
         Some(Received { losses, base_changed_m, base_moved_m })
     }

@@ -9,7 +9,7 @@ use crate::positioning::factors::{DopplerFactor, DopplerVelocityFactor, VELOCITY
 use crate::positioning::fgo::SlidingWindow;
 use crate::positioning::rtk::ambiguity::Resolution;
 use crate::positioning::rtk::observed::{RtkEpoch, State as RtkState};
-use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
+use crate::positioning::rtk::relative_solver::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::Tracking;
 use crate::positioning::setup::Setup;
 use crate::positioning::velocity::VelocityEstimator;

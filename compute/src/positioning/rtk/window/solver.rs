@@ -14,7 +14,8 @@ use crate::positioning::rtk::observed::{
     AmbiguityTie, Flip, RowScratch, RtkEpoch, SLIP_ROUNDS, STATE, State, half_cycle_step,
     window_residuals,
 };
-use crate::positioning::rtk::relative::{NewEpoch, RelativeSolver, Resolved};
+use crate::positioning::rtk::pause::SolvedPhases;
+use crate::positioning::rtk::relative_solver::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
 use crate::positioning::setup::Setup;
 
@@ -107,6 +108,11 @@ impl RelativeSolver for Chain {
         let (setup, slipped) = (new.setup, new.slipped);
         self.append(new.time, new.guess, new.differences, setup, &mut scratch.rows);
         if self.settle(setup, slipped, past.as_mut(), scratch).is_none() {
+            self.clear();
+            return Err(Reason::NotConverged);
+        }
+        if !self.has_kept_arcs(&mut scratch.rows) {
+            slipped.extend(self.tracking.arcs.present(new.time).map(|arc| arc.satellite));
             self.clear();
             return Err(Reason::NotConverged);
         }
@@ -217,6 +223,15 @@ impl Chain {
             }
         }
         Some(())
+    }
+
+    /// Whether the arcs have more likely kept their ambiguities than not.
+    fn has_kept_arcs(&mut self, scratch: &mut RowScratch) -> bool {
+        let Self { epochs, estimate, tracking, .. } = self;
+        let (Some(epoch), Some(state)) = (epochs.last(), estimate.states.last()) else {
+            return true;
+        };
+        tracking.has_kept_arcs(&SolvedPhases { epoch, state, border: &estimate.border }, scratch)
     }
 
     /// Ties the ambiguities of arcs that began because a half cycle was resolved to those of the
