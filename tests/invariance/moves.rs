@@ -232,6 +232,29 @@ fn a_lost_base_costs_no_position() {
     }
 }
 
+/// A base whose stated position changes by 5 m moves the positions relative to it by as much. In the
+/// profile `static` nothing of the earlier position is left at the next epoch.
+#[test]
+fn a_base_that_is_stated_elsewhere_moves_a_rover_at_rest() {
+    let scenario = Scenario { duration_s: 120.0, motion: Motion::Static, ..Scenario::rtk_open() };
+    let stated = base_of(&scenario);
+    let moved = LocalFrame::at(stated).to_ecef(Enu(Vector3::new(3.0, 4.0, 0.0)));
+    let simulator = Simulator::new(scenario, 2);
+    let navigation = Navigation::clone(simulator.navigation());
+    let mut estimator = Estimator::new(PositioningOptions::new(Mode::RtkFgo, Profile::Static));
+    for (second, epoch) in simulator.enumerate() {
+        let antenna_reference_point = if second < 60 { stated } else { moved };
+        let station = BaseStation { name: "base".into(), antenna_reference_point };
+        let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
+        let solution = estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base });
+        let expected = epoch.position.0 + (antenna_reference_point.0 - stated.0);
+        let off_m = solution.estimate.unwrap().position.distance_m(Ecef(expected));
+        let least_m = if solution.status == Status::Fixed { 0.1 } else { 2.5 };
+        assert!(off_m < least_m, "{:?}: {off_m} m at {second}", solution.status);
+        assert!(second != 119 || solution.status == Status::Fixed);
+    }
+}
+
 /// Phases of epochs 5 s apart, without Doppler: the start of each solve is metres off, and exact
 /// fits of a few phases are minima near it. The answers are about as good as those of each second.
 #[test]

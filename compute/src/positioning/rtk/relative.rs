@@ -181,6 +181,12 @@ impl<S: RelativeSolver> Relative<S> {
         tracking.arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
         tracking.pause = Pause::of(&received.losses, &tracking.pause, &tracking.arcs);
         let base = self.base.usable(inputs, single_point)?;
+        if received.base_moved_m.is_some() {
+            // The position so far refers to the base's earlier one. A solver without an epoch
+            // begins at the epoch's own position.
+            let last = position(self.solver.frame(), &self.solver.predicted(time));
+            self.begin(inputs, (last, State::zeros()), scratch, revisions);
+        }
         let mut guess = self.locate(inputs, scratch, revisions)?;
         let mut rover = position(self.solver.frame(), &guess);
         self.base.difference(inputs, rover, base.station, &mut scratch.intake.differences)?;
