@@ -17,9 +17,6 @@ use super::texts::brief;
 
 /// Largest pseudorange (m): radius of a geostationary orbit, and a clock error of 0.3 s.
 const PSEUDORANGE_MAX_M: f64 = 1.5e8;
-/// Largest carrier phase (cycles). Receivers begin to count at any value, but above this limit an
-/// `f64` does not resolve 0.01 cycles.
-const CARRIER_PHASE_MAX_CYCLES: f64 = 1e13;
 /// Largest Doppler (Hz): a receiver in low orbit with a bad oscillator.
 const DOPPLER_MAX_HZ: f64 = 1e6;
 /// Largest C/N0 (dB-Hz).
@@ -228,7 +225,7 @@ fn observation(raw: RawObservation<'_>) -> Result<Observation, Refusal> {
         }
         kept => Ok(kept),
     };
-    let phase_max = CARRIER_PHASE_MAX_CYCLES;
+    let phase_max = Cycles::LIMIT;
     Ok(Observation {
         satellite,
         code,

@@ -507,6 +507,18 @@ fn a_wild_pseudorange_moves_no_fix() {
     }
 }
 
+/// One satellite in each epoch has phases of 10¹⁶ cycles, which no `f64` resolves, as UBX and RINEX
+/// can contain. They are not used, and the others are fixed.
+#[test]
+fn phases_beyond_resolution_block_no_fix() {
+    let disturbed = answers_of_a_rover(&mut |epoch, _| {
+        let wild = epoch.observations[0].satellite;
+        let of_wild = epoch.observations.iter_mut().filter(|o| o.satellite == wild);
+        of_wild.filter_map(|o| o.carrier_phase.as_mut()).for_each(|phase| phase.0 += 1e16);
+    });
+    assert!(250 < fixed(&disturbed), "{}", fixed(&disturbed));
+}
+
 /// The receiver's clock steps by a millisecond, and its phases continue without a step. Ten seconds
 /// later all phases lose lock. The integers of GLONASS are found as before.
 #[test]

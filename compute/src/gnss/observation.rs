@@ -11,6 +11,15 @@ pub(crate) struct Meters(pub f64);
 pub struct Cycles(pub f64);
 
 impl Cycles {
+    /// Largest phase that is used (cycles). Receivers begin to count at any value, but above this
+    /// limit an `f64` does not resolve 0.01 cycles.
+    pub const LIMIT: f64 = 1e13;
+
+    /// Whether the phase is a number within the limit.
+    pub(crate) fn is_resolved(self) -> bool {
+        self.0.abs() <= Self::LIMIT
+    }
+
     /// The same phase as a length, λφ.
     pub(crate) fn to_meters(self, wavelength: Meters) -> Meters {
         Meters(self.0 * wavelength.0)

@@ -438,7 +438,7 @@ fn valid_m(observation: &Observation) -> Option<f64> {
 fn carrier_m(observation: &Observation, pair: &Pair<'_>) -> Option<f64> {
     let wavelength = Meters(SPEED_OF_LIGHT / pair.frequency_hz);
     let is_settled = !(observation.loss_of_lock && observation.half_cycle);
-    let is_phase = |phase: &Cycles| is_settled && phase.0.is_finite() && phase.0 != 0.0;
+    let is_phase = |phase: &Cycles| is_settled && phase.is_resolved() && phase.0 != 0.0;
     let phase = observation.carrier_phase.filter(is_phase)?;
     Some(phase.to_meters(wavelength).0)
 }

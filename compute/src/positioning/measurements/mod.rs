@@ -340,7 +340,7 @@ fn carrier_phase(
     frequency_hz: f64,
     satellite: &SatelliteState,
 ) -> Option<CarrierPhase> {
-    let phase = observation.carrier_phase.filter(|phase| phase.0.is_finite())?;
+    let phase = observation.carrier_phase.filter(|phase| phase.is_resolved())?;
     Some(CarrierPhase {
         range_m: phase.to_meters(Meters(SPEED_OF_LIGHT / frequency_hz)).0 + satellite.clock_m,
         loss_of_lock: observation.loss_of_lock,
