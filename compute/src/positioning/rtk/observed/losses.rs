@@ -86,9 +86,9 @@ impl LossRate {
     /// loss for `tracked_s`.
     ///
     /// P = (m + t)/(m + t + u) with the mean interval m, the tracked time t and the unobserved time
-    /// u. Carriers have different rates λ of losses, constant in time. Their prior is exponential
-    /// with the mean 1/m, so that λ has the density (m + t)·e^(−λ(m + t)) after the time t, and P
-    /// is the mean of e^(−λu).
+    /// u. Carriers have different rates η of losses, constant in time. Their prior is exponential
+    /// with the mean 1/m, so that η has the density (m + t)·e^(−η(m + t)) after the time t, and P
+    /// is the mean of e^(−ηu).
     ///
     /// Source: the conjugate prior of a Poisson rate, Gelman et al. (2013), *Bayesian data
     /// analysis*, 3rd ed.
