@@ -231,18 +231,19 @@ mod tests {
         }
     }
 
-    /// Two positions explain the residuals equally well: the trajectory, and one that is 60 m away.
-    /// As long as this is so the trajectory does not settle.
+    /// Six satellites are direct at the trajectory, and their mirror images at a position 60 m to the
+    /// east. At the other position each is 36 m late. As long as both are as likely, the trajectory
+    /// does not settle.
     #[test]
     fn a_position_settles_only_while_no_other_is_possible() {
         let error = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
         let off = Vector3::new(60.0, 0.0, 0.0);
         let pool = |is_ambiguous: bool| {
             let pooled = |index: u32| {
-                let (sine, cosine) = (2.4 * f64::from(index)).sin_cos();
-                let slope = -Vector3::new(0.7 * sine, 0.7 * cosine, 0.4 + 0.04 * f64::from(index));
-                let of_other = is_ambiguous && index.is_multiple_of(2);
-                let residual_m = if of_other { slope.dot(&off) } else { 0.0 };
+                let (pair, is_of_other) = (f64::from(index / 2), index.is_multiple_of(2));
+                let east = if is_of_other { 0.6 } else { -0.6 };
+                let slope = Vector3::new(east, 0.7 * (2.4 * pair).cos(), -0.4 - 0.1 * pair);
+                let residual_m = if is_ambiguous && is_of_other { slope.dot(&off) } else { 0.0 };
                 let satellite = format!("G{:02}", index + 1).parse().unwrap();
                 Pooled { satellite, slope, residual_m, error, ..pooled(0.0) }
             };
