@@ -22,9 +22,8 @@ const LAST_STEP_M: f64 = 0.3;
 const STEP_MAX_M: f64 = 30.0;
 /// Cost of the noise before learning (nats): odds of 20 : 1 that the learnt noise is right.
 const UNLEARNT_COST: f64 = 3.0;
-/// Difference of their costs by the changes of direct signals alone above which two hypotheses are
-/// told apart (nats).
-const TOLD_APART: f64 = 10.0;
+/// ½ Σ κ(1 − r)(Δs/σ)² above which two hypotheses are distinct (nats).
+const DISTINCT_NATS: f64 = 10.0;
 /// Scale of T (m).
 const SETTLED_M: f64 = 10.0;
 /// Number of residuals whose densities are multiplied before the logarithm. No density is below
@@ -165,15 +164,15 @@ impl<'a> Evidence<'a> {
         self.knowledge.bias_scale_m.is_finite()
     }
 
-    /// Whether the residuals that two hypotheses leave differ so much that these hypotheses can be
-    /// told apart, if signals are as likely direct as before the search.
-    pub(super) fn tells_apart(&self, one: &Offset, other: &Offset) -> bool {
+    /// Whether two hypotheses are distinct: ½ Σ κ(1 − r)(Δs/σ)² is above 10. Δs is the difference
+    /// of a residual, and r its probability of being reflected before the residual is known.
+    pub(super) fn are_distinct(&self, one: &Offset, other: &Offset) -> bool {
         let squares = self.pool.iter().map(|pooled| {
             let error = self.error(pooled);
             let change = (pooled.left_m(&one.x) - pooled.left_m(&other.x)) / error.sigma_m;
             pooled.independent * (1.0 - error.reflected) * change * change
         });
-        TOLD_APART < 0.5 * squares.sum::<f64>()
+        DISTINCT_NATS < 0.5 * squares.sum::<f64>()
     }
 
     /// The trajectory, with the clock of each constellation.

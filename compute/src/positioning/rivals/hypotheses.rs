@@ -22,9 +22,9 @@
 //!
 //! Candidates are the positions of minimal subsets of satellites, drawn with the probability that
 //! they are direct (Fischler & Bolles 1981, *Random sample consensus*, CACM 24). The best ones are
-//! refined by expectation maximisation, and so is the trajectory itself, with its own clocks and
-//! with those on which most residuals agree. The draws depend on the time of the epoch only, so
-//! that a replay makes the same ones.
+//! refined by expectation maximisation, and so is the trajectory itself, from its own clocks and
+//! from the lower tercile of each constellation's residuals, because reflections are late. The
+//! draws depend on the time of the epoch only, so that a replay makes the same ones.
 
 use std::cmp::Ordering;
 
@@ -36,7 +36,8 @@ use crate::positioning::draws::{Draws, subsets_needed};
 use super::evidence::{Evidence, Knowledge, Noise, Normal, Offset, Pooled, UNKNOWNS, Unknowns};
 
 /// Largest number of subsets drawn. If half of the satellites are direct, at least one subset of
-/// four is all direct with a probability of 1 − (15/16)⁴⁰ = 92 %.
+/// four is all direct with a probability of 1 − (15/16)⁴⁰ = 92 %, or of 72 % if every other subset
+/// determines a clock for each constellation. The search is repeated with other draws.
 const SUBSETS_MAX: usize = 40;
 /// Largest number of draws of a satellite for one subset.
 const DRAWS_MAX: usize = 60;
@@ -44,15 +45,15 @@ const DRAWS_MAX: usize = 60;
 const REFINED: usize = 2;
 /// Distances up to which positions of subsets count as the same: horizontal, and vertical, where
 /// positions are half as precise (m).
-const DISTINCT_M: (f64, f64) = (8.0, 16.0);
+const APART_M: (f64, f64) = (8.0, 16.0);
 /// Keeps unknowns that no residual determines at zero (1/m²).
 const WEAK: f64 = 1e-10;
 /// Largest horizontal and largest vertical offset of a candidate (m).
 const REACH_M: f64 = 1e3;
 
-/// Whether two positions this far apart count as different.
-fn are_distinct(by_m: &Vector3<f64>) -> bool {
-    DISTINCT_M.0 < by_m.xy().norm() || DISTINCT_M.1 < by_m.z.abs()
+/// Whether two positions at this distance count as different.
+fn are_apart(by_m: &Vector3<f64>) -> bool {
+    APART_M.0 < by_m.xy().norm() || APART_M.1 < by_m.z.abs()
 }
 
 /// The result of a search.
@@ -93,18 +94,18 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, wanted: f64, seed: 
     }
 }
 
-/// The likeliest hypothesis that is distinct from `trajectory`, that with its best clocks.
+/// The likeliest hypothesis that is distinct from `trajectory`, which has its best clocks.
 fn best_elsewhere(evidence: &Evidence<'_>, trajectory: &Offset, seed: u64) -> Option<Offset> {
     let mut search = Search::new(evidence, seed);
     let from_subsets = search.candidates().into_iter();
-    // A candidate that comes near the trajectory would converge to a minimum of `near`.
-    let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_distinct));
-    let far = far.filter(|offset| are_distinct(&offset.position_m()));
+    // A candidate that comes near the trajectory would converge to one of those in `near`.
+    let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_apart));
+    let far = far.filter(|offset| are_apart(&offset.position_m()));
     // A known clock that has stepped makes a minimum of its own.
-    let mut agreed_m = |system| search.late_clock_m(system, &Unknowns::zeros());
-    let stepped = evidence.shares_clock().then(|| evidence.with_clocks(&mut agreed_m));
+    let mut tercile_m = |system| search.late_clock_m(system, &Unknowns::zeros());
+    let stepped = evidence.shares_clock().then(|| evidence.with_clocks(&mut tercile_m));
     let near = stepped.iter().chain([trajectory]).map(|start| evidence.refine(start));
-    let near = near.filter(|offset| evidence.tells_apart(offset, trajectory));
+    let near = near.filter(|offset| evidence.are_distinct(offset, trajectory));
     far.chain(near).min_by(by_cost)
 }
 
@@ -204,7 +205,7 @@ impl<'a> Search<'a> {
         };
         let by_m = x.fixed_rows::<3>(0).into_owned();
         let is_near = by_m.xy().norm() < REACH_M && by_m.z.abs() < REACH_M;
-        if !is_near || !are_distinct(&by_m) {
+        if !is_near || !are_apart(&by_m) {
             return None;
         }
         for system in self.evidence.present().filter(|system| !drawn[*system]) {
@@ -261,7 +262,7 @@ impl<'a> Search<'a> {
 
 /// Adds a candidate to the best ones, unless a better one is at the same position.
 fn keep_best(best: &mut Vec<Offset>, new: Offset) {
-    let same = |other: &Offset| !are_distinct(&(other.position_m() - new.position_m()));
+    let same = |other: &Offset| !are_apart(&(other.position_m() - new.position_m()));
     if best.iter().any(|other| same(other) && other.cost() <= new.cost()) {
         return;
     }
@@ -389,7 +390,7 @@ mod tests {
 
     /// A position 5 m off is a rival of precise pseudoranges, not of noisy ones.
     #[test]
-    fn precise_pseudoranges_tell_near_positions_apart() {
+    fn near_positions_are_distinct_to_precise_pseudoranges() {
         let off = Vector3::new(3.0, 0.0, -4.0);
         let with_sigma = |sigma_m| {
             let error = CodeError { sigma_m, ..KNOWN_NOISE };

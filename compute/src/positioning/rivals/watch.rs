@@ -5,11 +5,10 @@
 //! are then outliers. So the residuals of the last half minute are tested repeatedly against other
 //! positions ([`hypotheses`]): the residuals of the present window, and of two pools before it.
 //!
-//! The window moves to another position if that position's log odds exceed a threshold. After a
-//! start or an outage the threshold is 1 nat. Once the pools are full it rises by every search that
-//! finds no possible other position, within half a minute of such searches to 10 nats (odds of
-//! 22,000 : 1). It is this high because a search every two seconds makes about 1,800 decisions an
-//! hour.
+//! The window moves to another hypothesis, of position or clocks, if its log odds exceed a
+//! threshold. After a start or an outage this is 1 nat. Once the pools are full, each search without
+//! a possible rival raises it, up to 10 nats after half a minute of such searches. These are odds of
+//! 22,000 : 1, because a search every two seconds makes about 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::{snapshot_fields, state_fields};
@@ -51,7 +50,7 @@ pub(crate) enum Verdict {
     Proven,
     /// Another position is possible, or the residuals do not decide.
     Open,
-    /// The position at this offset is clearly likelier.
+    /// The hypothesis at this offset, of position or clocks, is clearly likelier.
     Move(Offset),
 }
 
