@@ -118,9 +118,6 @@ impl Expiry {
         store.mark_expired(today, retention_days).await?;
         store.drop_days(today, retention_days).await?;
         loop {
-            while store.note_emptied(today, retention_days).await? {
-                sleep(PAUSE).await;
-            }
             let sessions = store.expired(today, retention_days).await?;
             if sessions.is_empty() {
                 break;

@@ -255,7 +255,7 @@ mod tests {
         let store = store(&folder).await;
         let key = chains(&store).await;
         let read = store.rows_of(key, vec![5, 10, 20]).await.unwrap();
-        let expired = Expired { session: key, through: 16 };
+        let expired = Expired { session: key, through: 16, is_whole: false };
         assert!(!store.remove_expired(&expired, 500).await.unwrap());
         let found = store.decoded(key, read).await.unwrap();
         assert_eq!(found.iter().map(|epoch| epoch.solution.seq).collect::<Vec<_>>(), [20]);
@@ -290,7 +290,10 @@ mod tests {
         let corrupt = store.solutions(key, &query).await.unwrap_err();
         assert_eq!(corrupt.code().name(), "STORED_DATA_CORRUPT");
         assert!(!store.explains_missing(key, 8, &corrupt).await.unwrap());
-        store.remove_expired(&Expired { session: key, through: 16 }, 500).await.unwrap();
+        store
+            .remove_expired(&Expired { session: key, through: 16, is_whole: false }, 500)
+            .await
+            .unwrap();
         assert!(store.explains_missing(key, 8, &corrupt).await.unwrap());
         assert!(!store.explains_missing(key, 17, &corrupt).await.unwrap());
         let listed = store.solutions(key, &query).await.unwrap().items;

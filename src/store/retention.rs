@@ -13,7 +13,7 @@ use super::{SessionKey, Store, StoreError, StoredSnapshot};
 macro_rules! expired {
     ($condition:literal) => {
         concat!(
-            "SELECT x.session AS session, x.through AS through FROM (",
+            "SELECT x.session AS session, x.through AS through, CAST(0 AS BIGINT) FROM (",
             "SELECT k.session AS session, MAX(k.seq) AS through, ",
             "COUNT(DISTINCT k.seq) AS snapshots ",
             "FROM kept_snapshots k JOIN sessions s ON s.key = k.session ",
@@ -48,25 +48,11 @@ macro_rules! closed_by_own {
 macro_rules! expired_closed {
     ($closed:expr, $condition:literal) => {
         concat!(
-            "SELECT s.key AS session, COALESCE(h.last_seq, 0) AS through FROM sessions s ",
-            "JOIN session_heads h ON h.session = s.key WHERE ",
+            "SELECT s.key AS session, COALESCE(h.last_seq, 0) AS through, CAST(1 AS BIGINT) ",
+            "FROM sessions s JOIN session_heads h ON h.session = s.key WHERE ",
             $closed,
             $condition,
             " LIMIT $3"
-        )
-    };
-}
-/// Notes which of some such sessions have nothing left.
-macro_rules! note_emptied {
-    ($closed:expr) => {
-        concat!(
-            "UPDATE sessions SET emptied = 1 WHERE key IN (SELECT s.key FROM sessions s WHERE ",
-            $closed,
-            " LIMIT $3) ",
-            "AND NOT EXISTS (SELECT 1 FROM snapshots n WHERE n.session = sessions.key) ",
-            "AND NOT EXISTS (SELECT 1 FROM epochs e WHERE e.session = sessions.key) ",
-            "AND NOT EXISTS (SELECT 1 FROM rollups m ",
-            "WHERE m.session = sessions.key AND m.seconds = 60)"
         )
     };
 }
@@ -76,10 +62,8 @@ const TO_MARK: [&str; 3] = [
     expired_closed!(closed_by_default!(), " AND h.last_seq > COALESCE(h.removed_through, -1)"),
     expired_closed!(closed_by_own!(), " AND h.last_seq > COALESCE(h.removed_through, -1)"),
 ];
-const NOTE_EMPTIED: [&str; 2] =
-    [note_emptied!(closed_by_default!()), note_emptied!(closed_by_own!())];
-/// Those that still have rows to remove. Epochs may have gone with their partition, and minutes
-/// not.
+/// Those with rows to remove, and closed sessions until they are noted as emptied. Epochs may have
+/// gone with their partition, and minutes not.
 const TO_REMOVE: [&str; 3] = [
     expired!(
         "(x.snapshots > 1 OR EXISTS \
@@ -117,6 +101,8 @@ const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AN
 /// Removes the state of a closed session, which needs it no more.
 const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
     (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
+/// Notes that nothing of a closed session is left.
+const NOTE_EMPTIED: &str = "UPDATE sessions SET emptied = 1 WHERE key = $1";
 
 /// Sessions per query.
 const SESSIONS: i64 = 100;
@@ -132,6 +118,8 @@ pub struct Expired {
     pub session: SessionKey,
     /// Number of the last epoch to remove.
     pub through: u64,
+    /// Whether all that is stored of it expires, because it is closed.
+    pub is_whole: bool,
 }
 
 impl Store {
@@ -142,23 +130,6 @@ impl Store {
     /// The database fails.
     pub(crate) async fn expired(&self, today: i64, days: u32) -> Result<Vec<Expired>, StoreError> {
         self.found_expired(&TO_REMOVE, today, days).await
-    }
-
-    /// Notes some closed sessions of which nothing is left, so that they are not looked at again.
-    /// Returns whether there were any.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub(crate) async fn note_emptied(&self, today: i64, days: u32) -> Result<bool, StoreError> {
-        let mut is_any = false;
-        for sql in NOTE_EMPTIED {
-            let noted = writing!(&self.pool, pool => {
-                let note = sqlx::query(sql).bind(today).bind(i64::from(days)).bind(SESSIONS);
-                note.execute(pool).await.map(|done| done.rows_affected())
-            });
-            is_any |= 0 < noted.map_err(StoreError::database("noting emptied sessions"))?;
-        }
-        Ok(is_any)
     }
 
     /// Marks the epochs that are older than their retention as removed: no reader finds them.
@@ -172,7 +143,7 @@ impl Store {
                 return Ok(());
             }
             // One at a time: a transaction that locks several heads could deadlock with a commit.
-            for Expired { session, through } in found {
+            for Expired { session, through, .. } in found {
                 let marked = writing!(&self.pool, pool => {
                     let mark = sqlx::query(MARK).bind(session.0).bind(through as i64);
                     mark.execute(pool).await.map(drop)
@@ -190,7 +161,7 @@ impl Store {
     ) -> Result<Vec<Expired>, StoreError> {
         let mut found = Vec::new();
         for sql in queries {
-            let rows: Result<Vec<(i64, i64)>, _> = reading!(bulk &self.pool, pool => {
+            let rows: Result<Vec<(i64, i64, i64)>, _> = reading!(bulk &self.pool, pool => {
                 sqlx::query_as(sql)
                     .bind(today)
                     .bind(i64::from(days))
@@ -199,16 +170,18 @@ impl Store {
                     .await
             });
             let rows = rows.map_err(StoreError::database("finding expired epochs"))?;
-            let expired = |(session, through): (i64, i64)| Expired {
+            let expired = |(session, through, is_whole): (i64, i64, i64)| Expired {
                 session: SessionKey(session),
                 through: through as u64,
+                is_whole: is_whole != 0,
             };
             found.extend(rows.into_iter().map(expired));
         }
         Ok(found)
     }
 
-    /// Removes up to `epochs` of the expired epochs of a session. Returns whether some remain.
+    /// Removes up to `epochs` of the expired epochs of a session. Returns whether some remain. If
+    /// none does, a closed session is noted as emptied: [`Self::expired`] does not find it again.
     ///
     /// # Errors
     /// The database fails.
@@ -239,6 +212,9 @@ impl Store {
                     let remove = sqlx::query(REMOVE_SNAPSHOTS).bind(key).bind(through);
                     remove.execute(&mut *transaction).await?;
                     sqlx::query(REMOVE_STATE).bind(key).execute(&mut *transaction).await?;
+                    if expired.is_whole {
+                        sqlx::query(NOTE_EMPTIED).bind(key).execute(&mut *transaction).await?;
+                    }
                 }
                 transaction.commit().await?;
                 Ok(is_more)
@@ -333,7 +309,7 @@ mod tests {
             both.zip(["sessions_to_empty", "sessions_to_empty_by_own_retention"])
                 .collect::<Vec<_>>()
         };
-        let all = [closed(&TO_MARK), closed(&TO_REMOVE), closed(&NOTE_EMPTIED)].concat();
+        let all = [closed(&TO_MARK), closed(&TO_REMOVE)].concat();
         for (sql, index) in all {
             let explain = format!("EXPLAIN QUERY PLAN {sql}");
             let plan = sqlx::query(&explain).bind(20_000).bind(90).bind(SESSIONS);

@@ -20,6 +20,7 @@ on_both_databases!(
     a_store_with_retention_stays_flat,
     a_session_has_its_own_retention,
     a_closed_session_expires,
+    closed_sessions_of_which_nothing_is_left_are_noted_once,
     a_step_of_the_clock_removes_nothing,
     what_a_slow_clock_closes_is_kept,
     a_replay_needs_a_readable_snapshot,
@@ -288,6 +289,35 @@ async fn a_closed_session_expires(database: Database) {
     let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
     let check = Recomputation::open(store, aiding, &id, None).await.unwrap().check().await.unwrap();
     assert!(check.is_same() && check.compared == 0, "{check:?}");
+}
+
+/// After an upgrade no session is noted as emptied. The removal finds a hundred at once, and ends.
+async fn closed_sessions_of_which_nothing_is_left_are_noted_once(database: Database) {
+    const CLOSED: i64 = 230;
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let sessions = desk(&store, &clock).await;
+    for number in 0..CLOSED {
+        let retention_days = (number % 2 == 0).then_some(1);
+        let new = NewSession { retention_days, ..new_session() };
+        let id = sessions.create(new).await.unwrap().id;
+        if number % 10 == 0 {
+            sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
+        }
+        sessions.close(&id).await.unwrap();
+    }
+    let emptied = async || database.count("sessions WHERE emptied = 1").await;
+    clock.set(START + MS_PER_DAY);
+    sessions.remove_expired().await.unwrap();
+    assert_eq!((emptied().await, database.count("epochs").await), (0, 23), "too early");
+    clock.set(START + 3 * MS_PER_DAY);
+    for _ in 0..2 {
+        sessions.remove_expired().await.unwrap();
+        assert_eq!(emptied().await, CLOSED);
+        for table in ["epochs", "snapshots", "kept_snapshots"] {
+            assert_eq!(database.count(table).await, 0, "{table}");
+        }
+        database.execute("UPDATE sessions SET emptied = 0").await;
+    }
 }
 
 /// A snapshot of another version cannot be read. A replay then begins at the snapshot of the next
