@@ -14,10 +14,12 @@ use tonic::Code as Status;
 use tonic::service::interceptor::InterceptedService;
 use tonic_types::StatusExt;
 
+use crate::support::data;
 use crate::support::database::{Database, on_both_databases};
 use crate::support::doors::{Doors, code, epoch};
 use crate::support::jobs::MINUTE;
 use crate::support::pair::PAIR;
+use crate::support::streams::unpacked;
 use crate::support::wait::until;
 
 use super::jobs::post;
@@ -27,6 +29,7 @@ on_both_databases!(
     a_tenant_has_no_more_sessions_than_its_quota,
     epochs_are_refused_by_each_quota,
     raw_bytes_that_arrive_at_once_stay_within_the_quota,
+    refused_raw_bytes_count_towards_no_quota,
     files_of_jobs_are_refused_by_their_quota,
     the_operator_sets_quotas_beside_the_service,
 );
@@ -158,6 +161,33 @@ async fn raw_bytes_that_arrive_at_once_stay_within_the_quota(database: Database)
         assert!(upload(path).await.refusal.is_none(), "the stream continues where it was");
     }
     assert_eq!(database.count("epochs").await as usize, paths.len() * CHUNK);
+    doors.close().await;
+}
+
+/// The ephemerides of a chunk cannot be stored, so the chunk is refused. Its epochs count once it is
+/// taken.
+async fn refused_raw_bytes_count_towards_no_quota(database: Database) {
+    let Some(folder) = data::set("galway-static") else { return };
+    let mut log = unpacked(&folder.join("rover-20181004-1237.ubx.gz"));
+    log.truncate(200_000);
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let a = key_of(&doors, &operator, "a", "").await;
+    let path = format!("/v1/sessions/{}/raw?offset=0", session(&doors, &a, json!({})).await);
+    let rate = async || {
+        let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
+        used["epochsPerS"].as_f64().unwrap_or(0.0)
+    };
+    database.execute("ALTER TABLE ephemerides RENAME TO ephemerides_away").await;
+    for _ in 0..3 {
+        let refused = uploaded(&doors, &a, &path, &log).await.refusal.unwrap();
+        assert_eq!(refused.0, "DATABASE_FAILED");
+        assert_eq!(rate().await, 0.0);
+    }
+    database.execute("ALTER TABLE ephemerides_away RENAME TO ephemerides").await;
+    let taken = uploaded(&doors, &a, &path, &log).await;
+    assert!(taken.refusal.is_none(), "{:?}", taken.refusal);
+    assert!(0.0 < rate().await);
     doors.close().await;
 }
 

@@ -92,8 +92,9 @@ impl Task {
         };
         let count = received.epochs.len();
         let count_refused = |_: &SessionError| self.counters.count_refused(count);
-        self.admit_decoded(count).inspect_err(count_refused)?;
+        self.check_decoded(count).inspect_err(count_refused)?;
         let mut received = self.brought(received).await.inspect_err(count_refused)?;
+        self.admit_decoded(count).inspect_err(count_refused)?;
         let epochs = std::mem::take(&mut received.epochs);
         let is_patient = MailboxPermit::is_of_stream(permit);
         if let Some(permit) = permit {
@@ -117,12 +118,21 @@ impl Task {
         Ok(RawReceived { outcomes, durable_through, raw_through, received, resent, output })
     }
 
-    /// Checks the number of epochs of a decoded chunk, and counts them for the tenant's quotas.
-    /// Other chunks of the tenant that arrived at the same time may have used up a quota.
-    fn admit_decoded(&self, epochs: usize) -> Result<(), SessionError> {
+    /// Checks the number of epochs of a decoded chunk and the tenant's quotas. Other epochs of the
+    /// tenant may have used one up since the chunk arrived.
+    fn check_decoded(&self, epochs: usize) -> Result<(), SessionError> {
         match (epochs, self.epochs_per_push) {
             (0, _) => Ok(()),
             (_, limit) if limit < epochs => Err(SessionError::TooManyEpochs { epochs, limit }),
+            _ => Ok(self.solvers.meter().check_epochs()?),
+        }
+    }
+
+    /// Counts the epochs of a decoded chunk for the tenant's quotas, if these still admit them. It
+    /// follows all that may refuse the chunk but its commit: what is sent again counts again.
+    fn admit_decoded(&self, epochs: usize) -> Result<(), SessionError> {
+        match epochs {
+            0 => Ok(()),
             _ => Ok(self.solvers.meter().admit_epochs(epochs)?),
         }
     }
