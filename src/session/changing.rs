@@ -1,6 +1,6 @@
 //! Creates sessions, and changes their settings.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use tokio::time::sleep;
 
@@ -10,15 +10,8 @@ use crate::store::{Author, Created, NamedRequest, SessionKey, SessionSettings};
 use super::configuration::{base_of, settings, stored_options};
 use super::desk::Sessions;
 use super::info::etag_of;
+use super::updates_to_confirm::LOOK_INTERVAL;
 use super::{NewSession, SessionError, SessionId, SessionInfo, SessionUpdate};
-
-/// Interval at which the settings are read again after an update with an unknown outcome.
-const LOOK_INTERVAL: Duration = Duration::from_secs(1);
-/// Number of these reads that the database answers. A commit that it received before the failure
-/// ends before, unless its disk takes longer.
-const LOOKS: usize = 30;
-/// Number of these reads with those that fail.
-const LOOKS_MAX: usize = 600;
 
 impl Sessions {
     /// Creates a session and stores it.
@@ -166,25 +159,27 @@ impl Sessions {
         let stored = self.store().update_session(row.key, &row.settings, entry.as_deref()).await;
         // Even after an error, because only the answer to the commit may be lost.
         self.outdated(id, row.key);
-        if stored.is_err() {
+        if stored.is_err() && self.desk().updates_to_confirm.note(id) {
             tokio::spawn(self.clone().look_again(id.clone(), row.key));
         }
         stored?;
         self.info(id.clone(), row)
     }
 
-    /// Has the settings read again for some time after an update that failed. The server may still
-    /// commit it: the answer to an epoch that comes meanwhile does not show this.
+    /// Has the settings read again every second after an update that failed. The database may
+    /// still commit it: the answer to an epoch that comes meanwhile does not show this.
     async fn look_again(self, id: SessionId, key: SessionKey) {
-        let mut looks = 0;
-        for _ in 0..LOOKS_MAX {
+        loop {
             sleep(LOOK_INTERVAL).await;
-            if LOOKS <= looks || self.is_draining() {
+            if self.is_draining() {
                 return;
             }
-            if self.store().session_of_any(id.as_str()).await.is_ok() {
+            let is_answered = self.store().session_of_any(id.as_str()).await.is_ok();
+            if is_answered {
                 self.outdated(&id, key);
-                looks += 1;
+            }
+            if !self.desk().updates_to_confirm.count(&id, is_answered) {
+                return;
             }
         }
     }

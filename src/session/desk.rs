@@ -27,6 +27,7 @@ use super::solvers::Solvers;
 use super::task::{MailboxPermit, Message, RawSubmission, Submission};
 use super::tasks::{Handle, Start, Tasks};
 use super::update_rates::UpdateRates;
+use super::updates_to_confirm::UpdatesToConfirm;
 use super::{
     Pending, RawChunk, RawReceived, SequencedEpoch, SessionError, SessionId, SessionInfo,
     SessionLimits, Submitted,
@@ -61,6 +62,7 @@ pub(super) struct Desk {
     /// Locked from the read of a session's row until its task has started, and while it is closed.
     starting: SessionLocks,
     pub(super) update_rates: UpdateRates,
+    pub(super) updates_to_confirm: UpdatesToConfirm,
     tasks: Mutex<Tasks>,
     /// Wakes the task in `removal` that removes deleted sessions.
     deleted: Arc<Notify>,
@@ -102,6 +104,7 @@ impl Sessions {
             clock,
             starting: SessionLocks::default(),
             update_rates: UpdateRates::default(),
+            updates_to_confirm: UpdatesToConfirm::default(),
             tasks: Mutex::new(tasks),
             deleted,
             expiry,

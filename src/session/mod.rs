@@ -126,6 +126,7 @@ mod submission;
 mod task;
 mod tasks;
 mod update_rates;
+mod updates_to_confirm;
 mod watching;
 
 pub use crate::store::SessionHead;
