@@ -20,8 +20,8 @@ use super::stop::stopped;
 use super::web::{self, Fetched, Validators, WebError, without_query};
 use super::{ArchiveTemplate, Backoff, Connector, FeedOptions};
 
-/// A file is complete if it is fetched this long after the end of its time (ms), by this clock and
-/// by that of the host: a clock that is ahead would end a file that still grows.
+/// A file is complete if it is fetched this long after the end of its time (ms), by the service's
+/// clock and by the host's. Otherwise a clock that is ahead would take a growing file as complete.
 const COMPLETE_AFTER_MS: i64 = 3_600_000;
 /// After this many failures in a row a file no longer delays newer files. The base takes epochs in
 /// order of time, so the file cannot be added any more once a newer one is.

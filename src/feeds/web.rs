@@ -118,7 +118,7 @@ pub enum Fetched {
     },
     /// The file has not changed.
     Unchanged {
-        /// As of a new version.
+        /// The host's time of the answer (ms since 1970-01-01 UTC), if it states one.
         host_unix_ms: Option<i64>,
     },
 }

@@ -15,8 +15,8 @@ use super::problem::Refused;
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct AuditQuery {
-    /// At most this many items on the page, 1 to 1000; 100 if absent. It has fewer where memory is
-    /// scarce.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. A page may have fewer
+    /// although more exist, because memory is scarce.
     #[param(minimum = 0, maximum = 1000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of

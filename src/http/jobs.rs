@@ -96,8 +96,8 @@ pub(super) async fn get(caller: Caller, Path(job): Path<String>) -> Result<Json<
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct JobsQuery {
-    /// At most this many items on the page, 1 to 1000; 100 if absent. It may have fewer, although
-    /// there are more: 256 at the most, and fewer where memory is scarce.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. A page has at most 256
+    /// jobs. It may have fewer although more exist, because memory is scarce.
     #[param(minimum = 0, maximum = 1000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of

@@ -18,8 +18,8 @@ use super::sign_in::{NO_STORE, NoStore};
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct KeysQuery {
-    /// At most this many items on the page, 1 to 1000; 100 if absent. It has fewer where memory is
-    /// scarce.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. A page may have fewer
+    /// although more exist, because memory is scarce.
     page_size: u32,
     /// `nextPageToken` of the previous answer.
     page_token: String,

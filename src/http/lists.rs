@@ -11,8 +11,8 @@ use crate::refusal::Code;
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// At most this many items on the page, 1 to 1000; 100 if absent. It may have fewer, although
-    /// there are more: 512 at the most of bases, and fewer where memory is scarce.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. A page has at most 512
+    /// bases. It may have fewer although more exist, because memory is scarce.
     #[param(minimum = 0, maximum = 1000)]
     pub(super) page_size: u32,
     /// `nextPageToken` of the previous answer.

@@ -69,8 +69,9 @@ pub(super) async fn get(
 #[serde(rename_all = "camelCase", default, deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct SessionsQuery {
-    /// At most this many items on the page, 1 to 1000; 100 if absent. It may have fewer, although
-    /// there are more: 128 of the view `FULL` at the most, and fewer where memory is scarce.
+    /// At most this many items on the page, 1 to 1000; 100 if absent. A page of the view `FULL`
+    /// has at most 128 sessions. A page may have fewer although more exist, because memory is
+    /// scarce.
     #[param(minimum = 0, maximum = 1000)]
     page_size: u32,
     /// `nextPageToken` of the previous answer. The other parameters but `pageSize` must be those of
