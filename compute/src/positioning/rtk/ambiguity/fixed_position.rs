@@ -410,6 +410,7 @@ mod tests {
                 serial: k as u64,
                 frequency_hz: 1_575.42e6,
                 last: GpsTime::EPOCH,
+                unobserved_s: 0.0,
                 epochs: 9,
                 half_cycle: false,
                 elevation_rad: elevation,

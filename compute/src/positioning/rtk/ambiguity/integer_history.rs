@@ -145,6 +145,7 @@ mod tests {
             serial,
             frequency_hz: 1.57542e9,
             last: GpsTime::EPOCH + last_s,
+            unobserved_s: 0.0,
             epochs: 1,
             half_cycle: false,
             elevation_rad: 1.0,

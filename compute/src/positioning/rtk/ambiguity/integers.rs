@@ -405,6 +405,7 @@ mod tests {
             serial: k as u64,
             frequency_hz: 1_575.42e6,
             last: GpsTime::EPOCH,
+            unobserved_s: 0.0,
             epochs: 5,
             half_cycle: false,
             elevation_rad: if k == highest { 1.5 } else { 0.5 + 0.1 * k as f64 },

@@ -27,6 +27,8 @@ pub(crate) struct CarrierArc {
     pub(crate) frequency_hz: f64,
     /// Time of its newest phase.
     pub(crate) last: GpsTime,
+    /// Time since then in which epochs of the rover are missing (s).
+    pub(crate) unobserved_s: f64,
     /// Number of its phases so far.
     pub(crate) epochs: u32,
     /// Whether the newest phase may be off by half a cycle.
@@ -132,6 +134,7 @@ snapshot_fields!(CarrierArc {
     serial,
     frequency_hz,
     last,
+    unobserved_s,
     epochs,
     half_cycle,
     elevation_rad,
@@ -189,8 +192,9 @@ impl Arcs {
         gap_s: f64,
         ended: &mut Vec<SatelliteId>,
     ) {
+        self.list.iter_mut().for_each(|arc| arc.unobserved_s += losses.unobserved_s);
         let is_over = |arc: &CarrierArc| {
-            gap_s < time - arc.last - losses.unobserved_s || losses.has(arc.satellite, arc.codes)
+            gap_s < time - arc.last - arc.unobserved_s || losses.has(arc.satellite, arc.codes)
         };
         self.end(is_over, ended);
     }
@@ -277,7 +281,7 @@ impl Arcs {
     ) -> Option<(usize, f64)> {
         let arc = self.list.iter_mut().find(|arc| arc.is_of(difference))?;
         let since_s = time - arc.last;
-        (arc.last, arc.elevation_rad) = (time, elevation_rad);
+        (arc.last, arc.unobserved_s, arc.elevation_rad) = (time, 0.0, elevation_rad);
         arc.code_minus_phase_m = code_minus_phase_m(difference).or(arc.code_minus_phase_m);
         arc.epochs += 1;
         Some((arc.variable, since_s))
@@ -300,6 +304,7 @@ impl Arcs {
             serial,
             frequency_hz: difference.frequency_hz,
             last: time,
+            unobserved_s: 0.0,
             epochs: 1,
             half_cycle: difference.half_cycle,
             elevation_rad,
@@ -467,6 +472,19 @@ mod tests {
         assert_eq!(moved_ms(2.0, [LIGHT_MILLISECOND_M; 3]), 1.0);
         assert_eq!(moved_ms(3.0, [LIGHT_MILLISECOND_M + 20.0; 3]), 1.0);
         assert_eq!(moved_ms(4.0, [-LIGHT_MILLISECOND_M; 3]), -1.0);
+    }
+
+    /// Pauses of 30 and 20 s with an epoch without its phase between them are no observed time.
+    #[test]
+    fn an_arc_goes_on_over_two_pauses_without_a_phase_between() {
+        let mut arcs = Arcs::default();
+        let paused = |unobserved_s: f64| Losses { unobserved_s, ..Losses::default() };
+        track(&mut arcs, 0.0, &paused(0.0), &[difference(1, false)]);
+        track(&mut arcs, 31.0, &paused(30.0), &[]);
+        track(&mut arcs, 52.0, &paused(20.0), &[difference(1, false)]);
+        assert_eq!((arcs.list()[0].epochs, arcs.list()[0].unobserved_s), (2, 0.0));
+        track(&mut arcs, 88.0, &paused(0.0), &[]);
+        assert!(arcs.list().is_empty());
     }
 
     /// A phase that lost lock while its half cycle is unknown is not used, so its carrier has no
