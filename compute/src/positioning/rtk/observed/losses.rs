@@ -51,7 +51,7 @@ const USUAL_GROWTH: f64 = 2.0;
 #[derive(Clone, Copy, Debug)]
 struct Lock {
     carrier: Tracked,
-    /// Time of its first phase since it was lost.
+    /// Time of its first phase since it was lost, later by the time not observed since then.
     since: GpsTime,
     /// Time of its last phase.
     last: GpsTime,
@@ -59,10 +59,17 @@ struct Lock {
     unobserved_s: f64,
 }
 
+impl Lock {
+    /// Probability that the carrier has not slipped since its last phase.
+    fn survival(&self, rate: &LossRate) -> f64 {
+        rate.survival(self.last - self.since, self.unobserved_s)
+    }
+}
+
 /// How often a receiver loses lock.
 #[derive(Clone, Copy, Debug, Default)]
 struct LossRate {
-    /// Losses of lock that it has reported.
+    /// Losses of lock that it has reported, of carriers with a phase within `gap_s` before.
     losses: f64,
     /// Time for which it was seen to track carriers, summed over the carriers (s).
     tracked_s: f64,
@@ -114,9 +121,9 @@ pub(crate) struct Watched {
 ///
 /// An indicator that is not set means "OK or not known" (RINEX 2 and 3, loss of lock indicator). So
 /// until a receiver has reported a loss, a carrier without a phase in the last epoch may have
-/// slipped. An indicator refers to the time since the last epoch that was recorded. Epochs that got
-/// lost later have taken theirs with them. So a carrier that more likely than not has slipped in
-/// that time counts as lost.
+/// slipped. A flag refers to the time since the last *recorded* epoch. If epochs are missing, their
+/// flags are missing, too. A carrier counts as lost if it has more likely slipped than not in the
+/// missing time.
 #[derive(Debug, Default)]
 pub(crate) struct LockWatch {
     /// Whether the receiver has ever reported a loss.
@@ -136,13 +143,13 @@ state_fields!(LockWatch { reports, last, usual_s, rate, locks });
 
 impl LockWatch {
     /// Takes in an epoch; appends the carriers that may have slipped since their last phase.
-    /// Carriers without a phase for `gap_s` are forgotten.
+    /// Carriers without a phase for `gap_s` of observed time are forgotten.
     pub(crate) fn take(&mut self, epoch: &Epoch, gap_s: f64, lost: &mut Vec<Tracked>) -> Watched {
         let unobserved_s = self.follow(epoch.time, gap_s);
         self.reports |= epoch.observations.iter().any(|observation| observation.loss_of_lock);
         let before = self.last.replace(epoch.time);
-        let before_rate = self.rate;
-        let mut likeliest: f64 = 0.0;
+        let rate = if self.reports { self.rate } else { LossRate::default() };
+        let survival = self.whole_survival(&rate, unobserved_s);
         for observation in &epoch.observations {
             let carrier = (observation.satellite, observation.code);
             let index = self.locks.binary_search_by_key(&carrier, |lock| lock.carrier);
@@ -152,6 +159,7 @@ impl LockWatch {
             if observation.carrier_phase.is_none() {
                 if let (true, Ok(index)) = (observation.loss_of_lock, index) {
                     self.locks.remove(index);
+                    self.rate.losses += 1.0;
                 }
                 continue;
             }
@@ -166,25 +174,32 @@ impl LockWatch {
                 }
                 Ok(index) => {
                     let lock = &mut self.locks[index];
-                    let rate = if self.reports { before_rate } else { LossRate::default() };
-                    let survival = rate.survival(lock.last - lock.since, lock.unobserved_s);
                     let is_doubtful = !self.reports && Some(lock.last) != before;
                     if observation.loss_of_lock {
                         *lock = new;
                         self.rate.losses += 1.0;
-                    } else if is_doubtful || survival < MORE_LIKELY {
+                    } else if is_doubtful || lock.survival(&rate) < MORE_LIKELY {
                         *lock = new;
                         lost.push(carrier);
                     } else {
-                        likeliest = likeliest.max(survival);
-                        self.rate.tracked_s += epoch.time - lock.last;
-                        *lock = Lock { since: lock.since, ..new };
+                        self.rate.tracked_s += epoch.time - lock.last - lock.unobserved_s;
+                        *lock = Lock { since: lock.since + lock.unobserved_s, ..new };
                     }
                 }
             }
         }
-        let survival = if unobserved_s == 0.0 { 1.0 } else { likeliest };
         Watched { survival, unobserved_s }
+    }
+
+    /// Probability that the receiver as a whole has kept lock in the `unobserved_s` before this
+    /// epoch, if it had until then: that of the carrier which it has tracked longest.
+    fn whole_survival(&self, rate: &LossRate, unobserved_s: f64) -> f64 {
+        let known_s = |lock: &Lock| lock.last - lock.since + lock.unobserved_s - unobserved_s;
+        let of = |lock: &Lock| rate.survival(known_s(lock), unobserved_s);
+        match 0.0 < unobserved_s {
+            true => self.locks.iter().map(of).fold(0.0, f64::max),
+            false => 1.0,
+        }
     }
 
     /// Adds the interval up to an epoch; returns the part of it that was not observed (s).
@@ -294,6 +309,47 @@ mod tests {
         assert_eq!((watched.survival, watched.unobserved_s), (1.0, 0.0));
         let watched = after_a_pause(5, false).1;
         assert_eq!((watched.survival, watched.unobserved_s), (10.0 / 15.0, 5.0));
+    }
+
+    /// Satellite 1 for 10 s, and then epochs at 16, 17 and 20 s, of which the first two have no
+    /// phase. Each pause counts once: 10/(10 + 5) and 15/(15 + 2) are together 10/(10 + 7).
+    #[test]
+    fn an_epoch_without_phases_does_not_end_the_lock_of_a_receiver() {
+        let mut watch = LockWatch::default();
+        let mut lost = Vec::new();
+        let mut survival = |second: u32| {
+            let mut epoch = Epoch::new(GpsTime::EPOCH + f64::from(second));
+            epoch.observations.extend((!(16..20).contains(&second)).then(|| observed(1, false)));
+            lost.clear();
+            watch.take(&epoch, 35.0, &mut lost).survival
+        };
+        assert!((0..=10).all(|second| survival(second) == 1.0));
+        let [first, between, second] = [16, 17, 20].map(survival);
+        assert_eq!(between, 1.0);
+        assert!((first - 10.0 / 15.0).abs() < 1e-12);
+        assert!((first * second - 10.0 / 17.0).abs() < 1e-12);
+    }
+
+    /// Epochs of 10 s and a pause of 4 s that the carrier survives are 11 s of tracking, of which
+    /// less than a twentieth fades. A loss that is flagged without a phase counts. The flag of a
+    /// carrier that was not tracked does not.
+    #[test]
+    fn evidence_on_the_rate_is_what_was_seen() {
+        let mut watch = LockWatch::default();
+        let mut take = |second: f64, observation: Observation| {
+            let mut epoch = Epoch::new(GpsTime::EPOCH + second);
+            epoch.observations.push(observation);
+            watch.take(&epoch, 35.0, &mut Vec::new());
+            (watch.rate, watch.locks.clone())
+        };
+        (0..=10).for_each(|second| drop(take(f64::from(second), observed(1, second == 0))));
+        let (rate, locks) = take(15.0, observed(1, false));
+        assert!((rate.tracked_s - 11.0).abs() < 0.5 && rate.losses == 0.0, "{rate:?}");
+        assert_eq!(locks[0].last - locks[0].since, 11.0);
+        let (rate, locks) = take(16.0, Observation { carrier_phase: None, ..observed(1, true) });
+        assert!(rate.losses == 1.0 && locks.is_empty());
+        let (rate, _) = take(17.0, observed(1, true));
+        assert!((rate.losses - 1.0).abs() < 0.01, "{rate:?}");
     }
 
     /// Epochs each 30 s have no pause, nor does one that is late by a third. A pause that a single
