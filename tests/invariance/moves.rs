@@ -102,7 +102,7 @@ fn a_rover_that_was_carried_away_is_fixed_again() {
 
 /// A rover of 140 s whose epochs of 20 s are missing. With `slips`, the phases after that differ by
 /// whole cycles from satellite to satellite. No flag tells.
-fn paused(slips: bool) -> Vec<(Solution, Option<f64>)> {
+fn paused(mode: Mode, slips: bool) -> Vec<(Solution, Option<f64>)> {
     let scenario = Scenario { duration_s: 140.0, ..Scenario::rtk_open() };
     let base = base_of(&scenario);
     let simulator = Simulator::new(scenario, 5);
@@ -118,17 +118,19 @@ fn paused(slips: bool) -> Vec<(Solution, Option<f64>)> {
         }
     }
     seen.drain(60..80);
-    answered(Mode::RtkFgo, base, &seen, &navigation)
+    answered(mode, base, &seen, &navigation)
 }
 
 /// The phases after a pause agree, so their integers stay.
 #[test]
 fn integers_survive_a_pause_without_slips() {
-    let answers = paused(false);
-    assert_eq!(answers[59].0.status, Status::Fixed);
-    for (solution, off_m) in &answers[60..] {
-        assert_eq!(solution.status, Status::Fixed);
-        assert!(off_m.unwrap() < 0.1, "{off_m:?}");
+    for mode in [Mode::RtkFgo, Mode::RtkEkf] {
+        let answers = paused(mode, false);
+        assert_eq!(answers[59].0.status, Status::Fixed);
+        for (solution, off_m) in &answers[60..] {
+            assert_eq!(solution.status, Status::Fixed);
+            assert!(off_m.unwrap() < 0.1, "{mode:?}: {off_m:?}");
+        }
     }
 }
 
@@ -137,15 +139,18 @@ fn integers_survive_a_pause_without_slips() {
 /// off for 45 s.
 #[test]
 fn phases_that_all_slip_in_a_pause_are_found_out() {
-    let answers = paused(true);
-    assert_eq!(answers[59].0.status, Status::Fixed);
-    let after = &answers[60..];
-    for (second, (solution, off_m)) in after.iter().enumerate() {
-        let least_m = if solution.status == Status::Fixed { 0.1 } else { 1.5 };
-        assert!(off_m.unwrap() < least_m, "{:?} {off_m:?} at {second}", solution.status);
+    for mode in [Mode::RtkFgo, Mode::RtkEkf] {
+        let answers = paused(mode, true);
+        assert_eq!(answers[59].0.status, Status::Fixed);
+        let after = &answers[60..];
+        for (second, (solution, off_m)) in after.iter().enumerate() {
+            let (status, off_m) = (solution.status, off_m.unwrap());
+            let least_m = if status == Status::Fixed { 0.1 } else { 1.5 };
+            assert!(off_m < least_m, "{mode:?}: {status:?} {off_m} at {second}");
+        }
+        let fixed = after.iter().filter(|(solution, _)| solution.status == Status::Fixed).count();
+        assert!(50 < fixed, "{mode:?}: {fixed}");
     }
-    let fixed = after.iter().filter(|(solution, _)| solution.status == Status::Fixed).count();
-    assert!(50 < fixed, "{fixed}");
 }
 
 /// Where no arc continues from epoch to epoch, each is fixed from itself. None is fixed elsewhere.

@@ -30,19 +30,19 @@ pub(crate) struct Pause {
     survival: f64,
     /// Whether epochs of the rover are missing.
     is_of_rover: bool,
-    /// Number of arcs that may go on; zero after all have ended.
-    arcs: usize,
+    /// Whether arcs may go on over it.
+    has_arcs: bool,
     /// Probability that the arcs that go on have not slipped.
     pub(crate) kept: f64,
     is_judged: bool,
 }
 
-snapshot_fields!(Pause { survival, is_of_rover, arcs, kept, is_judged });
+snapshot_fields!(Pause { survival, is_of_rover, has_arcs, kept, is_judged });
 
 impl Pause {
     /// No epoch is missing.
     pub(crate) const NONE: Self =
-        Self { survival: 1.0, is_of_rover: false, arcs: 0, kept: 1.0, is_judged: true };
+        Self { survival: 1.0, is_of_rover: false, has_arcs: false, kept: 1.0, is_judged: true };
 
     /// The pause before an epoch, with the one `before` if no epoch was solved since. `arcs` have
     /// not ended at it.
@@ -50,18 +50,18 @@ impl Pause {
         let open = if before.is_judged { Self::NONE } else { *before };
         let survival = losses.survival * open.survival;
         let is_of_rover = 0.0 < losses.unobserved_s || open.is_of_rover;
-        let (arcs, is_judged) = (arcs.list().len(), survival == 1.0);
-        Self { survival, is_of_rover, arcs, kept: survival, is_judged }
+        let (has_arcs, is_judged) = (!arcs.list().is_empty(), survival == 1.0);
+        Self { survival, is_of_rover, has_arcs, kept: survival, is_judged }
     }
 
     /// Whether the arcs that go on have more likely slipped than not.
     pub(crate) fn is_refuted(&self) -> bool {
-        0 < self.arcs && self.kept < MORE_LIKELY
+        self.has_arcs && self.kept < MORE_LIKELY
     }
 
     /// Records that all arcs have ended.
     pub(crate) fn end(&mut self) {
-        self.arcs = 0;
+        self.has_arcs = false;
     }
 
     /// Whether the rover's phases may have slipped in the pause with a probability of more than
@@ -75,8 +75,8 @@ impl Pause {
     /// A phase that goes on has a residual r with the density of Student's t₃, scaled by its σ. One
     /// that has slipped is uniform within its wavelength. Four phases fit in any case, so of n the
     /// ratio of both densities counts with the power (n − 4)/n. The odds of the survival are
-    /// multiplied by these ratios. They are divided by the number of choices of n arcs among all
-    /// arcs, since the test for slips has chosen the phases that fit.
+    /// multiplied by these ratios. They are divided by the number of choices of n arcs among those
+    /// with a phase at this epoch, since the test for slips has chosen the phases that fit.
     pub(crate) fn judge(
         &mut self,
         solved: &SolvedPhases<'_>,
@@ -87,7 +87,7 @@ impl Pause {
             return;
         }
         self.is_judged = true;
-        let SolvedPhases { epoch, state, border } = *solved;
+        let SolvedPhases { epoch, state, border, cut } = *solved;
         epoch.see(state, scratch);
         epoch.linearize_carriers(border, scratch);
         let RowScratch { rows, numbers, .. } = &mut *scratch;
@@ -100,7 +100,7 @@ impl Pause {
         };
         let residuals = epoch.carriers().zip(whitened(rows, &CARRIER_KERNEL, numbers));
         let ratios: Vec<f64> = residuals.filter_map(ratio).collect();
-        self.kept = given_phases(self.survival, &ratios, self.arcs);
+        self.kept = given_phases(self.survival, &ratios, ratios.len() + cut);
     }
 }
 
@@ -111,6 +111,8 @@ pub(crate) struct SolvedPhases<'a> {
     pub(crate) state: &'a State,
     /// Ambiguities by variable (cycles).
     pub(crate) border: &'a [f64],
+    /// Number of arcs that the test for slips has ended at this epoch.
+    pub(crate) cut: usize,
 }
 
 /// Density of Student's t with three degrees of freedom.

@@ -62,6 +62,9 @@ pub(crate) trait RelativeSolver: Clone + Debug + Snapshot {
         self.tracking().receivers.pseudorange_noise.variance_factor()
     }
 
+    /// Drops all states and arcs, so that the solver restarts. The noise scales stay.
+    fn clear(&mut self);
+
     /// Drops all states and arcs, and sets the frame's origin to `start`.
     fn begin(&mut self, start: Ecef, guess: &State);
 

@@ -79,7 +79,8 @@ impl Tracking {
 
     /// Judges by the phases of a solved epoch whether the arcs have kept their ambiguities over the
     /// pause before it. Returns whether that is likelier than not.
-    pub(crate) fn has_kept_arcs(
+    #[must_use]
+    pub(crate) fn judge_arcs(
         &mut self,
         solved: &SolvedPhases<'_>,
         scratch: &mut RowScratch,

@@ -96,16 +96,18 @@ impl RelativeSolver for FilterState {
         &mut self.tracking
     }
 
+    fn clear(&mut self) {
+        (self.time, self.gaussian, self.failing_s) = (None, Gaussian::zero(), 0.0);
+        self.tracking.clear();
+    }
+
     fn begin(&mut self, start: Ecef, guess: &State) {
-        self.time = None;
+        self.clear();
         self.frame = LocalFrame::at(start);
-        self.gaussian = Gaussian::zero();
         for column in 0..STATE {
             let sigma = if column < VELOCITY { START_M } else { START_M_S };
             self.gaussian.renew(column, guess[column], sigma);
         }
-        self.tracking.clear();
-        self.failing_s = 0.0;
     }
 
     fn forget(&mut self) {
@@ -118,10 +120,16 @@ impl RelativeSolver for FilterState {
         _past: &mut (),
         scratch: &mut FilterStateScratch,
     ) -> Result<Resolved, Reason> {
-        let setup = new.setup;
-        self.predict(new.time, setup, &mut scratch.epoch);
-        if self.update(new, scratch) {
+        let (time, setup, slipped) = (new.time, new.setup, &mut *new.slipped);
+        self.predict(time, setup, &mut scratch.epoch);
+        let ended = slipped.len();
+        if self.update(NewEpoch { slipped: &mut *slipped, ..new }, scratch) {
             self.time = None;
+        }
+        if !self.judge_arcs(slipped.len() - ended, scratch) {
+            slipped.extend(self.tracking.arcs.present(time).map(|arc| arc.satellite));
+            self.clear();
+            return Err(Reason::NotConverged);
         }
         let FilterStateScratch { rows, search, epoch, .. } = scratch;
         let Self { gaussian, tracking, .. } = self;
@@ -131,8 +139,6 @@ impl RelativeSolver for FilterState {
             float: &gaussian.float(tracking.arcs.present(epoch.time)),
             residuals: Residuals::NONE,
         };
-        let (state, border) = (&gaussian.state(), gaussian.border());
-        tracking.has_kept_arcs(&SolvedPhases { epoch, state, border }, rows);
         let resolution = tracking.resolve(&solved, &setup.options, search, rows);
         let (state, covariance) = (gaussian.state(), gaussian.state_covariance());
         Ok(Resolved { state, covariance, has_velocity: true, resolution })
@@ -146,6 +152,16 @@ impl RelativeSolver for FilterState {
 impl FilterState {
     fn is_whole(&self) -> bool {
         self.gaussian.ambiguities().is_some_and(|count| self.tracking.arcs.is_within(count))
+    }
+
+    /// Judges the arcs by the newest epoch, in which the test for slips has ended `cut` of them.
+    /// Returns whether they have more likely kept their ambiguities than not.
+    #[must_use]
+    fn judge_arcs(&mut self, cut: usize, scratch: &mut FilterStateScratch) -> bool {
+        let FilterStateScratch { rows, epoch, .. } = scratch;
+        let Self { gaussian, tracking, .. } = self;
+        let (state, border) = (&gaussian.state(), gaussian.border());
+        tracking.judge_arcs(&SolvedPhases { epoch, state, border, cut }, rows)
     }
 
     /// Predicts the state of an epoch.

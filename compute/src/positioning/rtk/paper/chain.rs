@@ -50,14 +50,6 @@ impl PaperChain {
         self.epochs.len() == self.estimate.states.len() && self.estimate.border.is_empty()
     }
 
-    /// Drops all epochs; the next one is near the frame's origin.
-    pub(crate) fn clear(&mut self) {
-        self.epochs.clear();
-        self.estimate.states.clear();
-        self.prior = starting_prior();
-        self.velocity_m_s = None;
-    }
-
     /// The newest position, extrapolated to `time` by the velocity (m).
     pub(crate) fn expected(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.epochs.last(), self.estimate.states.last()) else {

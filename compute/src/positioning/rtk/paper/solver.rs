@@ -77,6 +77,13 @@ impl RelativeSolver for PaperChain {
         1.0
     }
 
+    fn clear(&mut self) {
+        self.epochs.clear();
+        self.estimate.states.clear();
+        self.prior = starting_prior();
+        self.velocity_m_s = None;
+    }
+
     fn begin(&mut self, start: Ecef, _guess: &RtkState) {
         self.clear();
         self.frame = LocalFrame::at(start);

@@ -49,15 +49,6 @@ impl Chain {
         }
     }
 
-    /// Empties the window.
-    pub(crate) fn clear(&mut self) {
-        self.epochs.clear();
-        self.estimate.states.clear();
-        self.estimate.border.clear();
-        self.prior = Prior::none();
-        self.tracking.clear();
-    }
-
     /// The newest state, extrapolated to `time` by its velocity.
     pub(crate) fn expected(&self, time: GpsTime) -> State {
         let (Some(last), Some(state)) = (self.epochs.last(), self.estimate.states.last()) else {

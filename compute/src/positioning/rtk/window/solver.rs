@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 use crate::config::{PositioningOptions, RtkOptions};
 use crate::gnss::{Ecef, GpsTime, LocalFrame, Reason, SatelliteId, Solution};
-use crate::graph::{BorderLife, Covariances, Elimination, Smoother, System, Workspace};
+use crate::graph::{BorderLife, Covariances, Elimination, Prior, Smoother, System, Workspace};
 use crate::positioning::engine::EpochInputs;
 use crate::positioning::fgo::{KnownPosition, SlidingWindow, WindowScratch};
 use crate::positioning::rtk::ambiguity::{FloatSolution, IntegerSearch};
@@ -89,6 +89,14 @@ impl RelativeSolver for Chain {
         &mut self.tracking
     }
 
+    fn clear(&mut self) {
+        self.epochs.clear();
+        self.estimate.states.clear();
+        self.estimate.border.clear();
+        self.prior = Prior::none();
+        self.tracking.clear();
+    }
+
     fn begin(&mut self, start: Ecef, _guess: &State) {
         self.clear();
         self.frame = LocalFrame::at(start);
@@ -107,11 +115,12 @@ impl RelativeSolver for Chain {
     ) -> Result<Resolved, Reason> {
         let (setup, slipped) = (new.setup, new.slipped);
         self.append(new.time, new.guess, new.differences, setup, &mut scratch.rows);
+        let ended = slipped.len();
         if self.settle(setup, slipped, past.as_mut(), scratch).is_none() {
             self.clear();
             return Err(Reason::NotConverged);
         }
-        if !self.has_kept_arcs(&mut scratch.rows) {
+        if !self.judge_arcs(slipped.len() - ended, &mut scratch.rows) {
             slipped.extend(self.tracking.arcs.present(new.time).map(|arc| arc.satellite));
             self.clear();
             return Err(Reason::NotConverged);
@@ -225,13 +234,16 @@ impl Chain {
         Some(())
     }
 
-    /// Whether the arcs have more likely kept their ambiguities than not.
-    fn has_kept_arcs(&mut self, scratch: &mut RowScratch) -> bool {
+    /// Judges the arcs by the newest epoch, in which the test for slips has ended `cut` of them.
+    /// Returns whether they have more likely kept their ambiguities than not.
+    #[must_use]
+    fn judge_arcs(&mut self, cut: usize, scratch: &mut RowScratch) -> bool {
         let Self { epochs, estimate, tracking, .. } = self;
         let (Some(epoch), Some(state)) = (epochs.last(), estimate.states.last()) else {
             return true;
         };
-        tracking.has_kept_arcs(&SolvedPhases { epoch, state, border: &estimate.border }, scratch)
+        let border = &estimate.border;
+        tracking.judge_arcs(&SolvedPhases { epoch, state, border, cut }, scratch)
     }
 
     /// Ties the ambiguities of arcs that began because a half cycle was resolved to those of the
