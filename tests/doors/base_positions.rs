@@ -154,7 +154,8 @@ fn a_base_of_messages_may_move() {
     let at = moved.iter().position(|(_, _, says)| *says).unwrap();
     assert_eq!(moved.iter().filter(|(_, _, says)| *says).count(), 1);
     assert_eq!(moved[..at], still[..at]);
-    assert!(still[at].0 && !moved[at].0, "integers are kept");
+    let at_once_m = moved[at].1 - still[at].1;
+    assert!(still[at].0 && (at_once_m - 5.0).abs() < 2.5, "{at_once_m}");
     let both = still.iter().zip(&moved).skip(at).filter(|(a, b)| a.0 && b.0);
     let moves: Vec<f64> = both.map(|(a, b)| b.1 - a.1).collect();
     assert!(100 < moves.len(), "{} fixed after the base moved", moves.len());

@@ -238,25 +238,39 @@ fn a_lost_base_costs_no_position() {
 }
 
 /// A base whose stated position changes by 5 m moves the positions relative to it by as much. In the
-/// profile `static` nothing of the earlier position is left at the next epoch.
+/// profile `static` nothing of the earlier position is left at the next epoch with the base, also
+/// if no epoch of the base is at hand when it moves. The move is reported once.
 #[test]
 fn a_base_that_is_stated_elsewhere_moves_a_rover_at_rest() {
     let scenario = Scenario { duration_s: 120.0, motion: Motion::Static, ..Scenario::rtk_open() };
     let stated = base_of(&scenario);
     let moved = LocalFrame::at(stated).to_ecef(Enu(Vector3::new(3.0, 4.0, 0.0)));
-    let simulator = Simulator::new(scenario, 2);
-    let navigation = Navigation::clone(simulator.navigation());
-    let mut estimator = Estimator::new(PositioningOptions::new(Mode::RtkFgo, Profile::Static));
-    for (second, epoch) in simulator.enumerate() {
-        let antenna_reference_point = if second < 60 { stated } else { moved };
-        let station = BaseStation { name: "base".into(), antenna_reference_point };
-        let base = Some(BaseAiding { station: &station, epochs: epoch.base.as_slice() });
-        let solution = estimator.advance(&epoch.rover, &Aiding { navigation: &navigation, base });
-        let expected = epoch.position.0 + (antenna_reference_point.0 - stated.0);
-        let off_m = solution.estimate.unwrap().position.distance_m(Ecef(expected));
-        let least_m = if solution.status == Status::Fixed { 0.1 } else { 2.5 };
-        assert!(off_m < least_m, "{:?}: {off_m} m at {second}", solution.status);
-        assert!(second != 119 || solution.status == Status::Fixed);
+    for (mode, missing) in [(Mode::RtkFgo, 0..0), (Mode::RtkFgo, 50..70), (Mode::RtkEkf, 50..70)] {
+        let simulator = Simulator::new(scenario.clone(), 2);
+        let navigation = Navigation::clone(simulator.navigation());
+        let mut options = PositioningOptions::new(mode, Profile::Static);
+        options.rtk.base_age_max_s = 5.0;
+        let mut estimator = Estimator::new(options);
+        let mut reported = Vec::new();
+        for (second, epoch) in simulator.enumerate() {
+            let antenna_reference_point = if second < 60 { stated } else { moved };
+            let station = BaseStation { name: "base".into(), antenna_reference_point };
+            let epochs = if missing.contains(&second) { &[] } else { epoch.base.as_slice() };
+            let base = Some(BaseAiding { station: &station, epochs });
+            let aiding = Aiding { navigation: &navigation, base };
+            let solution = estimator.advance(&epoch.rover, &aiding);
+            let is_moved = |reason: &Reason| matches!(reason, Reason::BaseMoved { .. });
+            reported.extend(solution.reasons.iter().any(is_moved).then_some(second));
+            if solution.reasons.iter().any(|reason| matches!(reason, Reason::BaseStale { .. })) {
+                continue;
+            }
+            let expected = epoch.position.0 + (antenna_reference_point.0 - stated.0);
+            let off_m = solution.estimate.unwrap().position.distance_m(Ecef(expected));
+            let least_m = if solution.status == Status::Fixed { 0.1 } else { 2.5 };
+            assert!(off_m < least_m, "{mode:?} {:?}: {off_m} m at {second}", solution.status);
+            assert!(second != 119 || solution.status == Status::Fixed);
+        }
+        assert_eq!(reported, [60]);
     }
 }
 

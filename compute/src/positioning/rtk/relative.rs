@@ -115,7 +115,6 @@ impl<S: RelativeSolver> Engine for Relative<S> {
         let Some(received) = self.base.receive(inputs) else {
             return scratch.intake.single_point.solve(inputs, None);
         };
-        let changed = received.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
         let differenced = self.difference(inputs, &received, scratch, revisions);
         let answered = differenced.and_then(|epoch| self.solve(inputs, epoch, scratch, revisions));
         let is_relative = answered.is_ok();
@@ -133,7 +132,7 @@ impl<S: RelativeSolver> Engine for Relative<S> {
                     }
                 };
                 let mut solution = alone.advance(inputs, &mut scratch.alone, &mut Vec::new());
-                solution.reasons.extend(changed.into_iter().chain([reason]));
+                solution.reasons.extend(received.reasons().chain([reason]));
                 solution
             }
         };
@@ -168,9 +167,11 @@ impl<S: RelativeSolver> Relative<S> {
         if let (true, Some(companion)) = (received.is_moved(), &mut self.companion) {
             companion.forget();
         }
-        if received.base_changed_m.is_some() {
+        if received.is_moved() {
             let (past, solver) = (&mut self.past, &mut scratch.solver);
             self.solver.answer_all(inputs.setup, past, solver, revisions);
+        }
+        if received.base_changed_m.is_some() {
             self.solver.forget();
         }
         let (time, rtk) = (inputs.epoch.time, &inputs.options().rtk);
@@ -180,13 +181,11 @@ impl<S: RelativeSolver> Relative<S> {
         let tracking = self.solver.tracking();
         tracking.arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
         tracking.pause = Pause::of(&received.losses, &tracking.pause, &tracking.arcs);
-        let base = self.base.usable(inputs, single_point)?;
         if received.base_moved_m.is_some() {
-            // The position so far refers to the base's earlier one. A solver without an epoch
-            // begins at the epoch's own position.
-            let last = position(self.solver.frame(), &self.solver.predicted(time));
-            self.begin(inputs, (last, State::zeros()), scratch, revisions);
+            // The position so far refers to the base's earlier one.
+            self.solver.clear();
         }
+        let base = self.base.usable(inputs, single_point)?;
         let mut guess = self.locate(inputs, scratch, revisions)?;
         let mut rover = position(self.solver.frame(), &guess);
         self.base.difference(inputs, rover, base.station, &mut scratch.intake.differences)?;
@@ -204,9 +203,7 @@ impl<S: RelativeSolver> Relative<S> {
             let satellites = differences.without_ephemeris.clone();
             reasons.push(Reason::EphemerisMissing { satellites });
         }
-        let Received { base_changed_m, base_moved_m, .. } = received;
-        reasons.extend(base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m }));
-        reasons.extend(base_moved_m.map(|distance_m| Reason::BaseMoved { distance_m }));
+        reasons.extend(received.reasons());
         Ok(Differenced { guess, base, reasons })
     }
 
@@ -290,7 +287,7 @@ impl<S: RelativeSolver> Relative<S> {
         let mut resolved = self.solver.solve(new, &mut self.past, &mut scratch.solver);
         if resolved.is_err() && self.solver.tracking().pause.is_refuted() {
             S::leave_all(&mut self.past, revisions);
-            resolved = self.solve_alone(inputs, &base, scratch, revisions);
+            resolved = self.solve_afresh(inputs, &base, scratch, revisions);
         }
         let resolved = resolved.inspect_err(|_| S::leave_all(&mut self.past, revisions))?;
         self.reconsider(&resolved, setup.options.rtk.single_epoch, scratch);
@@ -312,9 +309,9 @@ impl<S: RelativeSolver> Relative<S> {
         }))
     }
 
-    /// Solves an epoch without any arc of earlier ones, from its own position, because all of them
-    /// have slipped in a pause.
-    fn solve_alone(
+    /// Solves an epoch from its own position without earlier arcs, because these have more likely
+    /// slipped than not.
+    fn solve_afresh(
         &mut self,
         inputs: &EpochInputs<'_>,
         base: &UsableBase<'_>,

@@ -47,6 +47,15 @@ impl Default for BaseMemory {
     }
 }
 
+/// Losses of lock of the base, reported or possible.
+pub(crate) struct BaseLosses {
+    pub(crate) power_failed: bool,
+    /// Carriers that may have slipped.
+    pub(crate) lost: Vec<Tracked>,
+    /// Probability that the base has kept lock where its epochs are missing.
+    pub(crate) survival: f64,
+}
+
 impl BaseMemory {
     /// Distance from the known base to this one (m), if this is another base.
     pub(crate) fn changed_m(&self, station: &BaseStation) -> Option<f64> {
@@ -63,7 +72,8 @@ impl BaseMemory {
         }
     }
 
-    /// Takes in the epochs that are new and not later than the rover's epoch at `time`.
+    /// Takes in the epochs that are new and not later than the rover's epoch at `time`. Carriers
+    /// without a phase for `gap_s` of observed time are forgotten.
     pub(crate) fn take(&mut self, epochs: &[Epoch], time: GpsTime, gap_s: f64) {
         for epoch in epochs {
             let is_new = self.newest.as_ref().is_none_or(|newest| newest.time < epoch.time);
@@ -115,11 +125,11 @@ impl BaseMemory {
         check
     }
 
-    /// Distance that the base moved since it was last used (m); `None` if it has not moved. After a
-    /// move its phases refer to another position, so no arc continues.
+    /// Distance from the position that the base stated last to its present one (m); `None` if it
+    /// has not moved. After a move its phases refer to another position, so no arc continues.
     pub(crate) fn moved_m(&self, station: &BaseStation) -> Option<f64> {
-        let (stated, _) = self.check?;
-        Some(stated.distance_m(station.antenna_reference_point)).filter(|m| BASE_MOVED_M < *m)
+        let (_, known) = self.station.as_ref().filter(|(name, _)| *name == station.name)?;
+        Some(known.distance_m(station.antenna_reference_point)).filter(|m| BASE_MOVED_M < *m)
     }
 
     /// The newest epoch.
@@ -127,9 +137,12 @@ impl BaseMemory {
         self.newest.as_ref()
     }
 
-    /// Whether the base lost power since the last call, and the carriers that may have slipped.
-    pub(crate) fn take_losses(&mut self) -> (bool, Vec<Tracked>, f64) {
-        let survival = std::mem::replace(&mut self.survival, 1.0);
-        (std::mem::take(&mut self.power_failed), std::mem::take(&mut self.lost), survival)
+    /// The losses of lock since the last call.
+    pub(crate) fn take_losses(&mut self) -> BaseLosses {
+        BaseLosses {
+            power_failed: std::mem::take(&mut self.power_failed),
+            lost: std::mem::take(&mut self.lost),
+            survival: std::mem::replace(&mut self.survival, 1.0),
+        }
     }
 }

@@ -43,6 +43,13 @@ impl Received {
     pub(crate) fn is_moved(&self) -> bool {
         self.base_changed_m.is_some() || self.base_moved_m.is_some()
     }
+
+    /// Why positions now refer to another point.
+    pub(crate) fn reasons(&self) -> impl Iterator<Item = Reason> + use<> {
+        let changed = self.base_changed_m.map(|distance_m| Reason::BaseChanged { distance_m });
+        let moved = self.base_moved_m.map(|distance_m| Reason::BaseMoved { distance_m });
+        changed.into_iter().chain(moved)
+    }
 }
 
 /// Scratch for the differences of one epoch.
@@ -99,22 +106,22 @@ impl BaseTracking {
             (self.base, self.levels) = (BaseMemory::default(), SignalLevels::default());
         }
         self.levels.learn(epoch);
+        let base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
         if let Some(base) = base {
             self.base.take(base.epochs, epoch.time, gap_s);
             self.base.know(base.station);
         }
-        let base_moved_m = base.and_then(|base| self.base.moved_m(base.station));
         let mut rover = Vec::new();
         let watched = self.locks.take(epoch, gap_s, &mut rover);
-        let (power_failed, base_lost, of_base) = self.base.take_losses();
+        let of_base = self.base.take_losses();
         let losses = Losses {
             all: epoch.power_failure
-                || power_failed
+                || of_base.power_failed
                 || base_moved_m.is_some()
                 || inputs.options().rtk.single_epoch,
             rover,
-            base: base_lost,
-            survival: watched.survival * of_base,
+            base: of_base.lost,
+            survival: watched.survival * of_base.survival,
             unobserved_s: watched.unobserved_s,
         };
         Some(Received { losses, base_changed_m, base_moved_m })
