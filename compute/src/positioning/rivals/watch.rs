@@ -6,9 +6,9 @@
 //! positions ([`hypotheses`]): the residuals of the present window, and of two pools before it.
 //!
 //! The window moves to another hypothesis, of position or clocks, if its log odds exceed a
-//! threshold. After a start or an outage this is 1 nat. Once the pools are full, each search without
-//! a possible rival raises it, up to 10 nats after half a minute of such searches. These are odds of
-//! 22,000 : 1, because a search every two seconds makes about 1,800 decisions an hour.
+//! threshold. After a start or an outage this is 1 nat. Once the pools are full, each search
+//! without a possible rival raises it, up to 10 nats after half a minute of such searches. These
+//! are odds of 22,000 : 1, because a search every two seconds makes about 1,800 decisions an hour.
 
 use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::{snapshot_fields, state_fields};
