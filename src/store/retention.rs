@@ -181,7 +181,7 @@ impl Store {
     }
 
     /// Removes up to `epochs` of the expired epochs of a session. Returns whether some remain. If
-    /// none does, a closed session is noted as emptied: [`Self::expired`] does not find it again.
+    /// none does, a closed session is noted as emptied: `expired` does not find it again.
     ///
     /// # Errors
     /// The database fails.
