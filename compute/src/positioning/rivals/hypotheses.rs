@@ -52,7 +52,7 @@ const WEAK: f64 = 1e-10;
 const REACH_M: f64 = 1e3;
 
 /// Whether two positions at this distance count as different.
-fn are_apart(by_m: &Vector3<f64>) -> bool {
+pub(crate) fn are_apart(by_m: &Vector3<f64>) -> bool {
     APART_M.0 < by_m.xy().norm() || APART_M.1 < by_m.z.abs()
 }
 
