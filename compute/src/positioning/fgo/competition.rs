@@ -15,7 +15,9 @@ use crate::positioning::factors::{
     BiasFactor, CLOCK, ComponentFactor, DRIFT, Line, STATE, VELOCITY, position,
 };
 use crate::positioning::ranging::Ranging;
-use crate::positioning::rivals::{Knowledge, Offset, Pooled, Rivalry, SPACING_S, Verdict, rivalry};
+use crate::positioning::rivals::{
+    Knowledge, Offset, Pooled, Rivalry, SPACING_S, Scope, Verdict, rivalry,
+};
 use crate::positioning::setup::GraphSettings;
 use crate::positioning::starts::{START_CLOCK_M, START_M_S, are_refuting};
 
@@ -78,7 +80,8 @@ impl Chain {
         pool.iter_mut().for_each(|pooled| pooled.independent = 1.0);
         let bias_scale_m = self.watch.bias_scale_m(now);
         let knowledge = Knowledge { bias_scale_m, settled: 0.0 };
-        let rivalry = rivalry(&pool, knowledge, f64::NEG_INFINITY, now.as_ns() as u64);
+        let rivalry =
+            rivalry(&pool, knowledge, Scope::Distinct, f64::NEG_INFINITY, now.as_ns() as u64);
         let (Rivalry::Rival { offset, .. }, Some(state)) =
             (rivalry, self.estimate.states.last_mut())
         else {
@@ -104,7 +107,7 @@ impl Chain {
             return false;
         }
         let window = self.pooled(self.watch.unpooled_s(now), scratch);
-        let verdict = self.watch.judge(now, &window, self.unproven_s(now));
+        let verdict = self.watch.judge(now, &window, self.unproven_s(now), Scope::Distinct);
         match &verdict {
             Verdict::Proven => self.is_proven = true,
             Verdict::Open => {}

@@ -52,8 +52,17 @@ const WEAK: f64 = 1e-10;
 const REACH_M: f64 = 1e3;
 
 /// Whether two positions at this distance count as different.
-pub(crate) fn are_apart(by_m: &Vector3<f64>) -> bool {
+fn are_apart(by_m: &Vector3<f64>) -> bool {
     APART_M.0 < by_m.xy().norm() || APART_M.1 < by_m.z.abs()
+}
+
+/// The hypotheses that a search considers besides the trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Scope {
+    /// All that are distinct from the trajectory: by their position, or by the residuals.
+    Distinct,
+    /// Those at another position, [`are_apart`] from the trajectory.
+    Apart,
 }
 
 /// The result of a search.
@@ -63,7 +72,7 @@ pub(crate) enum Rivalry {
     Undetermined,
     /// There is no other candidate, or none can reach the required odds.
     Unrivalled,
-    /// The likeliest candidate that is distinct from the trajectory.
+    /// The likeliest hypothesis within the scope.
     Rival {
         /// Its offset from the estimated trajectory.
         offset: Offset,
@@ -72,9 +81,15 @@ pub(crate) enum Rivalry {
     },
 }
 
-/// Searches for the likeliest hypothesis that is distinct from the trajectory, if any can have log
-/// odds of `wanted`. `seed` determines the draws.
-pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, wanted: f64, seed: u64) -> Rivalry {
+/// Searches for the likeliest hypothesis within `scope`, if any can have log odds of `wanted`.
+/// `seed` determines the draws.
+pub(crate) fn rivalry(
+    pool: &[Pooled],
+    knowledge: Knowledge,
+    scope: Scope,
+    wanted: f64,
+    seed: u64,
+) -> Rivalry {
     let learnt = Evidence::new(pool, Noise::Learnt, knowledge);
     if satellites(pool) < 3 + clocks(&learnt) + 1 {
         return Rivalry::Undetermined;
@@ -87,20 +102,28 @@ pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, wanted: f64, seed: 
     let costs = models.iter().map(|(trajectory, _)| trajectory.cost());
     let cost = costs.fold(f64::INFINITY, f64::min);
     models.retain(|(_, evidence)| wanted <= cost - evidence.cost_bound());
-    let search = |(trajectory, evidence): &_| best_elsewhere(evidence, trajectory, seed);
+    let search = |(trajectory, evidence): &_| best_elsewhere(evidence, trajectory, scope, seed);
     match models.iter().filter_map(search).min_by(by_cost) {
         Some(offset) => Rivalry::Rival { offset, log_odds: cost - offset.cost() },
         None => Rivalry::Unrivalled,
     }
 }
 
-/// The likeliest hypothesis that is distinct from `trajectory`, which has its best clocks.
-fn best_elsewhere(evidence: &Evidence<'_>, trajectory: &Offset, seed: u64) -> Option<Offset> {
+/// The likeliest hypothesis within `scope`; `trajectory` has its best clocks.
+fn best_elsewhere(
+    evidence: &Evidence<'_>,
+    trajectory: &Offset,
+    scope: Scope,
+    seed: u64,
+) -> Option<Offset> {
     let mut search = Search::new(evidence, seed);
     let from_subsets = search.candidates().into_iter();
     // A candidate that comes near the trajectory would converge to one of those in `near`.
     let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_apart));
     let far = far.filter(|offset| are_apart(&offset.position_m()));
+    if scope == Scope::Apart {
+        return far.min_by(by_cost);
+    }
     // A known clock that has stepped makes a minimum of its own.
     let mut tercile_m = |system| search.late_clock_m(system, &Unknowns::zeros());
     let stepped = evidence.shares_clock().then(|| evidence.with_clocks(&mut tercile_m));
@@ -308,7 +331,7 @@ mod tests {
 
     /// The rival, which must exist, and its log odds.
     fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
-        match rivalry(pool, knowledge, f64::NEG_INFINITY, 7) {
+        match rivalry(pool, knowledge, Scope::Distinct, f64::NEG_INFINITY, 7) {
             Rivalry::Rival { offset, log_odds } => (offset, log_odds),
             other => panic!("{other:?}"),
         }
@@ -327,7 +350,8 @@ mod tests {
 
     #[test]
     fn a_trajectory_that_is_right_has_none() {
-        let rivalry = rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, f64::NEG_INFINITY, 7);
+        let rivalry =
+            rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, Scope::Distinct, f64::NEG_INFINITY, 7);
         let is_right = match rivalry {
             Rivalry::Unrivalled => true,
             Rivalry::Rival { log_odds, .. } => log_odds < -10.0,
@@ -399,7 +423,12 @@ mod tests {
         };
         let (offset, log_odds) = found(&with_sigma(0.5), KNOWN);
         assert!(10.0 < log_odds && (offset.position_m() + off).norm() < 0.5, "{offset:?}");
-        match rivalry(&with_sigma(4.0), KNOWN, f64::NEG_INFINITY, 7) {
+        // A search for other positions alone does not return it.
+        match rivalry(&with_sigma(0.5), KNOWN, Scope::Apart, f64::NEG_INFINITY, 7) {
+            Rivalry::Rival { offset, .. } => assert!(are_apart(&offset.position_m()), "{offset:?}"),
+            other => assert!(matches!(other, Rivalry::Unrivalled), "{other:?}"),
+        }
+        match rivalry(&with_sigma(4.0), KNOWN, Scope::Distinct, f64::NEG_INFINITY, 7) {
             Rivalry::Rival { log_odds, .. } => assert!(log_odds < 0.0, "{log_odds}"),
             other => assert!(matches!(other, Rivalry::Unrivalled), "{other:?}"),
         }
@@ -417,7 +446,13 @@ mod tests {
 
     #[test]
     fn too_few_satellites_decide_nothing() {
-        let rivalry = rivalry(&pool(Vector3::zeros(), &[])[..4], KNOWN, f64::NEG_INFINITY, 7);
+        let rivalry = rivalry(
+            &pool(Vector3::zeros(), &[])[..4],
+            KNOWN,
+            Scope::Distinct,
+            f64::NEG_INFINITY,
+            7,
+        );
         assert!(matches!(rivalry, Rivalry::Undetermined));
     }
 }

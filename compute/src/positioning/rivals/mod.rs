@@ -8,5 +8,5 @@ mod hypotheses;
 mod watch;
 
 pub(crate) use evidence::{Knowledge, Offset, Pooled};
-pub(crate) use hypotheses::{Rivalry, are_apart, rivalry};
+pub(crate) use hypotheses::{Rivalry, Scope, rivalry};
 pub(crate) use watch::{POOL_S, SPACING_S, Verdict, Watch};

@@ -14,7 +14,7 @@ use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::evidence::{Knowledge, Offset, Pooled};
-use super::hypotheses::{self, Rivalry};
+use super::hypotheses::{self, Rivalry, Scope};
 
 /// Interval between two searches (s).
 const SEARCH_S: f64 = 2.0;
@@ -161,6 +161,7 @@ impl Watch {
         now: GpsTime,
         window: &[Pooled],
         unproven_s: Option<f64>,
+        scope: Scope,
     ) -> Verdict {
         let since_s = self.searched.map_or(0.0, |searched| now - searched);
         self.searched = Some(now);
@@ -172,7 +173,7 @@ impl Watch {
         let threshold = at_start + (when_settled - at_start) * settled;
         let is_doubted = settled < 1.0 || unproven_s.is_some();
         let wanted = if is_doubted { -PROVEN_LOG_ODDS } else { threshold };
-        match hypotheses::rivalry(&pool, knowledge, wanted, now.as_ns() as u64) {
+        match hypotheses::rivalry(&pool, knowledge, scope, wanted, now.as_ns() as u64) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
             Rivalry::Undetermined => Verdict::Open,
@@ -254,7 +255,7 @@ mod tests {
                 let now = GpsTime::EPOCH + f64::from(second);
                 let interval_s = (second != 0).then_some(2.0);
                 assert!(watch.is_due(now, interval_s));
-                watch.judge(now, &pool, None);
+                watch.judge(now, &pool, None, Scope::Distinct);
             }
             watch.settled
         };

@@ -12,7 +12,7 @@ use crate::graph::shared_offset;
 use crate::positioning::code_error::{CodeError, extra_path_m};
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::receiver::reflected_before_learning;
-use crate::positioning::rivals::{POOL_S, Pooled, SPACING_S, Verdict, Watch, are_apart};
+use crate::positioning::rivals::{POOL_S, Pooled, SPACING_S, Scope, Verdict, Watch};
 use crate::positioning::setup::OFFSET_KERNEL;
 use crate::snapshot::{snapshot_fields, state_fields};
 
@@ -69,11 +69,10 @@ impl PseudorangeWatch {
         }
         let pool = self.pooled(now);
         let unproven_s = (!self.is_proven).then(|| self.watch.age_s(now));
-        match self.watch.judge(now, &pool, unproven_s) {
+        // A restart costs all ambiguities. The float follows pseudoranges to a near position without
+        // one, and its offsets between receivers are those of each epoch.
+        match self.watch.judge(now, &pool, unproven_s, Scope::Apart) {
             Verdict::Proven => self.is_proven = true,
-            // A restart costs all ambiguities. The float follows pseudoranges to a near position
-            // without one, and its offsets between receivers are those of each epoch.
-            Verdict::Move(offset) if !are_apart(&offset.position_m()) => {}
             Verdict::Open => {}
             Verdict::Move(offset) => {
                 *self = Self { last: Some(now), ..Self::default() };
