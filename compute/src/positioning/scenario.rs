@@ -361,6 +361,31 @@ fn a_climb_after_a_long_rest_is_followed() {
     }
 }
 
+/// A receiver is switched off for a minute and moved by five kilometres. A new chain begins at the
+/// first epoch after that, and this epoch's Doppler measures the velocity.
+#[test]
+fn a_new_chain_has_the_doppler_of_its_first_epoch() {
+    let mut navigation = Navigation::default();
+    sky('G', 8, &mut navigation);
+    let options = PositioningOptions { mode: Mode::Fgo, ..options() };
+    let (mut estimator, frame) = (Estimator::new(options), LocalFrame::at(receiver()));
+    for second in (0..60).chain(120..122) {
+        let east_m = if second < 60 { 0.0 } else { 5_000.0 };
+        let moment = Moment {
+            time: tag() + f64::from(second),
+            receiver: frame.to_ecef(Enu(Vector3::new(east_m, 0.0, 0.0))),
+            velocity_m_s: Vector3::zeros(),
+        };
+        let all = navigation.satellites().flat_map(|(_, list)| list);
+        let observations = all.map(|ephemeris| moment.observation(ephemeris)).collect();
+        let epoch = Epoch { observations, ..Epoch::new(moment.time) };
+        let estimate = estimator.advance(&epoch, &Aiding::alone(&navigation)).estimate.unwrap();
+        let off_m = estimate.position.distance_m(moment.receiver);
+        let sigma_m_s = estimate.velocity.unwrap().covariance.trace().sqrt();
+        assert!(off_m < 1.0 && sigma_m_s < 0.5, "{off_m} m, {sigma_m_s} m/s after {second} s");
+    }
+}
+
 /// The first twenty seconds have Galileo alone, whose clock is 100 m behind that of GPS. GPS then
 /// has a clock of its own, and all its satellites are used at once.
 #[test]

@@ -52,7 +52,8 @@ pub(super) struct Chain {
     sequence: usize,
     /// Time of its first epoch.
     started: GpsTime,
-    /// Whether the pseudoranges of some epoch have agreed with one another.
+    /// Whether the start is proven: by the agreement of one epoch's pseudoranges, or with the
+    /// mixture by the search for other positions.
     pub(super) is_proven: bool,
     /// Largest number of epochs that each have separate inter-system biases; zero if the biases are
     /// constant.
@@ -204,7 +205,7 @@ impl Chain {
         factors.doppler_velocity_m_s = velocity.map(|v| self.frame.rotation * v.velocity_m_s);
         let spacing_s = interval_s.unwrap_or(options.independence_s);
         if setup.learns {
-            self.receiver.observe(&measurements.list, interval_s);
+            self.receiver.observe(time, &measurements.list);
         }
         look(&self.frame, &measurements.list, &mut factors.sights);
         self.range(measurements, setup, scratch);
@@ -419,7 +420,7 @@ impl Chain {
         (!self.is_proven).then(|| time - self.started)
     }
 
-    /// Moves the estimate to the minimum of the objective; returns its cost there.
+    /// Moves the estimate to the minimum of the objective; returns the cost before the last step.
     pub(super) fn solve(
         &mut self,
         settings: &GraphSettings,

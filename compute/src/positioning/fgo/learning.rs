@@ -28,15 +28,14 @@ impl Chain {
         });
         let code: Vec<_> = code.collect();
         let doppler: Vec<_> = factors.rates.iter().map(|r| r.linearize(state).residual).collect();
-        let (mut interval_s, mut phase) = (1.0, Vec::new());
+        let mut phase = Vec::new();
         if let ([.., last, _], [.., earlier, _]) = (&*self.epochs, &**states) {
-            interval_s = newest.time - last.time;
             last.factors.see(earlier, &mut before.lines);
             let lines = [&*before.lines, &*lines];
             phase = factors.phase_residuals(lines, [earlier, state], numbers);
         }
         let fit = PostFit {
-            interval_s,
+            time: newest.time,
             code: &code,
             doppler: &doppler,
             phase: &phase,

@@ -106,6 +106,7 @@ impl Engine for SlidingWindow {
             self.chain.drop_newest();
             return self.restart(inputs, scratch, revisions);
         }
+        self.learn(inputs.setup, scratch);
         self.let_leave(inputs.setup, scratch, revisions);
         solution
     }
@@ -203,9 +204,7 @@ impl SlidingWindow {
         self.chain.know_position(&known.sigma_m);
         self.chain.solve(&setup.alone, &setup.alone.whole, chain_scratch, workspace).ok()?;
         covariances.newest(&workspace.elimination);
-        if setup.learns {
-            self.chain.learn(covariances.state(), chain_scratch);
-        }
+        self.learn(setup, scratch);
         Some(())
     }
 }
@@ -249,8 +248,9 @@ impl SlidingWindow {
             &mut scratch.chain,
         );
         let solution = self.solve(inputs.setup, scratch);
-        if solution.is_none() {
-            self.chain.clear();
+        match solution {
+            Some(_) => self.learn(inputs.setup, scratch),
+            None => self.chain.clear(),
         }
         solution
     }
@@ -341,6 +341,13 @@ impl SlidingWindow {
         }
     }
 
+    /// Learns from the newest epoch, after the window is solved.
+    fn learn(&mut self, setup: &Setup, scratch: &mut WindowScratch) {
+        if setup.learns {
+            self.chain.learn(scratch.covariances.state(), &mut scratch.chain);
+        }
+    }
+
     /// Solves the window; `None` if it cannot be solved.
     fn solve(&mut self, setup: &Setup, scratch: &mut WindowScratch) -> Option<Solution> {
         let WindowScratch { chain: chain_scratch, workspace, covariances, answer, .. } = scratch;
@@ -357,9 +364,6 @@ impl SlidingWindow {
             chain.solve(settings, &settings.whole, chain_scratch, workspace).ok()?;
         }
         covariances.newest(&workspace.elimination);
-        if setup.learns {
-            chain.learn(covariances.state(), chain_scratch);
-        }
         let newest = chain.epochs.len() - 1;
         Some(solution(chain, newest, covariances.state(), setup, answer))
     }

@@ -25,7 +25,7 @@ mod vertical_speed;
 
 use nalgebra::SMatrix;
 
-use crate::gnss::Constellation;
+use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;
 
 use super::Measurement;
@@ -51,6 +51,9 @@ const FADING_S: f64 = 300.0;
 /// independent.
 const LEARNING_S: f64 = 0.9;
 
+/// Interval that counts for the first epoch (s): that of most receivers.
+const FIRST_S: f64 = 1.0;
+
 /// The fraction of the evidence that is left after an interval (s).
 fn kept(interval_s: f64) -> f64 {
     (-interval_s / FADING_S).exp()
@@ -66,17 +69,32 @@ pub(super) struct ReceiverModel {
     clocks: ClockCoupling,
     vertical: VerticalSpeed,
     rates: RepeatedRates,
+    /// Time of the last epoch observed.
+    observed: Option<GpsTime>,
+    /// Time of the last epoch learnt from.
+    learnt: Option<GpsTime>,
     /// Time since the level of C/N0 was last updated (s).
     unlearnt_s: f64,
 }
 
-state_fields!(ReceiverModel { code, doppler, phase, memory, clocks, vertical, rates, unlearnt_s });
+state_fields!(ReceiverModel {
+    code,
+    doppler,
+    phase,
+    memory,
+    clocks,
+    vertical,
+    rates,
+    observed,
+    learnt,
+    unlearnt_s,
+});
 
 /// Residuals and state of the newest epoch after the solve.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PostFit<'a> {
-    /// Time since the previous epoch (s).
-    pub(super) interval_s: f64,
+    /// Its time.
+    pub(super) time: GpsTime,
     /// Residuals of the pseudoranges.
     pub(super) code: &'a [CodeResidual],
     /// Residuals of Doppler over the standard deviation in force.
@@ -91,24 +109,32 @@ pub(super) struct PostFit<'a> {
 }
 
 impl ReceiverModel {
-    /// Compares an epoch with the one before, `interval_s` earlier, before it is solved.
-    pub(super) fn observe(&mut self, list: &[Measurement], interval_s: Option<f64>) {
+    /// Compares an epoch with the one before, before it is solved. An epoch with which a second
+    /// chain begins is not compared again: all its Doppler values would repeat.
+    pub(super) fn observe(&mut self, time: GpsTime, list: &[Measurement]) {
+        if self.observed == Some(time) {
+            return;
+        }
+        let interval_s = self.observed.map(|before| time - before).filter(|s| 0.0 < *s);
         self.clocks.observe(list, interval_s);
         self.rates.observe(list);
+        self.observed = Some(time);
     }
 
     /// Updates with the residuals of the newest epoch.
     pub(super) fn learn(&mut self, fit: &PostFit<'_>) {
-        self.unlearnt_s += fit.interval_s;
+        let interval_s = self.learnt.map_or(FIRST_S, |before| (fit.time - before).max(0.0));
+        self.learnt = Some(fit.time);
+        self.unlearnt_s += interval_s;
         if LEARNING_S <= self.unlearnt_s {
             let share = self.independent_share(self.unlearnt_s);
             self.code.learn(self.unlearnt_s, share, fit.code);
             self.unlearnt_s = 0.0;
         }
-        self.memory.learn(fit.interval_s, fit.code);
-        self.doppler.learn(fit.interval_s, fit.doppler);
-        self.phase.learn(fit.interval_s, fit.phase);
-        self.vertical.learn(fit.interval_s, fit.state, fit.covariance);
+        self.memory.learn(interval_s, fit.code);
+        self.doppler.learn(interval_s, fit.doppler);
+        self.phase.learn(interval_s, fit.phase);
+        self.vertical.learn(interval_s, fit.state, fit.covariance);
     }
 
     /// Error model of a pseudorange.
