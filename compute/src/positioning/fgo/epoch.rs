@@ -345,7 +345,7 @@ impl Factors {
         }
         if let (Some(tie), Some((_, information))) = (self.phase_clock, step) {
             let off_m = step_m - tie.mean_m;
-            system.add_cost(0.5 * information * off_m * off_m);
+            system.add_cost(1.5 * (off_m * off_m / (3.0 * tie.scale_m2)).ln_1p());
             sum.free_offset(CLOCK_INDEX, off_m, information);
         }
         system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
