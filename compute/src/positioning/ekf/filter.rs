@@ -316,14 +316,15 @@ impl FilterScratch {
         let is_used = |range: &Ranging| used.binary_search(&range.satellite).is_ok();
         weights.clear();
         weights.extend(ranges.iter().map(|range| f64::from(u8::from(is_used(range)))));
-        let influences = ranges.iter().zip(&*weights).map(|(range, weight)| Influence {
+        // Rows that the innovation test has rejected do not determine the state.
+        let accepted = ranges.iter().filter(|range| is_used(range)).map(|range| Influence {
             constellation: range.satellite.constellation,
-            pull: weight * range.linearize(lines, &state, biases_m).residual,
-            weight: *weight,
-            slope: *weight,
-            is_accepted: 0.0 < *weight,
+            pull: range.linearize(lines, &state, biases_m).residual,
+            weight: 1.0,
+            slope: 1.0,
+            is_accepted: true,
         });
-        let residuals = Residuals::of(influences);
+        let residuals = Residuals::of(accepted);
         let spacing_s = interval_s.max(options.graph.independence_s);
         let answer = Answer {
             status: Status::Ekf,

@@ -16,8 +16,8 @@
 //!
 //! The innovation test rejects a row whose r²/S exceeds the chi-square limit of one degree of
 //! freedom at `false_alarm_probability`; without `fault_exclusion` there is no test. Rows of one
-//! kind enter in the order of their standard deviations, because a sequential test detects faults
-//! best if the least suspect rows come first.
+//! kind enter in the order of their satellites' pseudorange variances, because a sequential test
+//! detects faults best if the least suspect rows come first.
 //!
 //! Sources: Kalman (1960); Brown & Hwang (1997) for the models; Jazwinski (1970), *Stochastic
 //! Processes and Filtering Theory*, chapter 8, for the extended filter.

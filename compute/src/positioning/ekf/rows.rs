@@ -42,7 +42,8 @@ impl Rows {
         self.standstill = None;
     }
 
-    /// Applies the rows, kind by kind, the most precise kinds first.
+    /// Applies the rows in this order: vertical prior, standstill, odometry, phases, Doppler,
+    /// pseudoranges.
     ///
     /// `before` contains the satellites of the previous epoch, `limit` is the limit of the
     /// innovation test, and `independent_share` is the fraction of their information that
