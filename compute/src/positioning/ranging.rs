@@ -17,13 +17,13 @@ pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measu
     (0..).zip(list.iter().filter(|measurement| measurement.is_above_mask))
 }
 
-/// Appends one sight for each measurement above the mask, in their order, to `sights`.
+/// Replaces `sights` by one for each measurement above the mask, in their order.
 pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Sight>) {
     sights.clear();
     sights.extend(sighted(list).map(|(_, m)| Sight::new(frame, m.state.position)));
 }
 
-/// Doppler rows, in the frame, of the measurements above the mask, for a receiver approximately at
+/// Doppler rows, in the frame, of the measurements that are not excluded, for a receiver near
 /// `receiver`; `sigma_m_s` is their standard deviation at the reference C/N0.
 pub(super) fn rates<'a>(
     sighted: impl Iterator<Item = (u16, &'a Measurement)>,
@@ -207,7 +207,7 @@ impl Ranging {
         let constellation = self.satellite.constellation;
         let Some(likelihood) = self.likelihood().filter(|_| kernel.law != Law::Huber) else {
             let (weight, slope) = (kernel.weight(residual), kernel.pull_slope(residual));
-            let (pull, is_accepted) = (weight * residual, 0.0 < slope);
+            let (pull, is_accepted) = (weight * residual, USED_WEIGHT <= weight);
             return Influence { constellation, pull, weight, slope, is_accepted };
         };
         let at = likelihood.weigh(-residual);
