@@ -183,19 +183,22 @@ impl Phases {
         factors.clear();
         for (sight, measurement) in sighted(list) {
             let Some(after) = Kept::of((sight, measurement)) else { continue };
-            let lost = measurement.phase.is_none_or(|phase| phase.loss_of_lock);
-            let step_m = measurement.phase.map_or(0.0, |phase| phase.ephemeris_step_m);
+            let Some(phase) = measurement.phase.filter(|phase| !phase.loss_of_lock) else {
+                continue;
+            };
             let before = self.kept.iter().find(|before| {
                 before.satellite == after.satellite
                     && before.code == after.code
                     && before.half_cycle == after.half_cycle
             });
-            let (Some(before), false) = (before, lost) else { continue };
+            let Some(before) = before else { continue };
             let unmodelled_m = after.unmodelled_m(before, measurement, interval_s);
             factors.push(PhaseDifferenceFactor {
                 before: before.sight,
                 after: after.sight,
-                change_m: after.corrected_m - before.corrected_m + unmodelled_m + step_m,
+                change_m: after.corrected_m - before.corrected_m
+                    + unmodelled_m
+                    + phase.ephemeris_step_m,
                 inverse_sigma: sigma_m.hypot(thermal_m(measurement.cn0_db_hz)).recip(),
             });
         }
@@ -204,8 +207,8 @@ impl Phases {
     /// Corrects the differences of a receiver whose clock jumps in the pseudoranges only.
     ///
     /// The median residual of the differences between the `states` before and now is rounded to
-    /// whole milliseconds, which are subtracted from all differences. If the median is not near
-    /// whole milliseconds, the phases have another clock, and the differences are dropped.
+    /// whole milliseconds, which are added to every difference. If the median is not near whole
+    /// milliseconds, the phases have another clock, and the differences are dropped.
     pub(super) fn follow_clock(
         &self,
         sights: &[Sight],
@@ -230,6 +233,7 @@ impl Phases {
         let whole_m = whole_milliseconds_m(median_m);
         if CLOCK_DIFFERS_M < (median_m - whole_m).abs() {
             factors.clear();
+            return;
         }
         factors.iter_mut().for_each(|factor| factor.change_m += whole_m);
     }

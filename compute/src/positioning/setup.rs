@@ -89,7 +89,8 @@ pub(super) struct Kernels {
     pub(super) pseudorange: Kernel,
     pub(super) doppler: Kernel,
     pub(super) phase: Kernel,
-    /// Whether Doppler and phase are weighted by the probability that the pseudorange is direct.
+    /// Whether Doppler is weighted by the probability that the pseudorange is direct, and a phase
+    /// difference by the smaller one of both epochs instead of the later one's.
     pub(super) weighted_by_pseudorange: bool,
 }
 

@@ -20,7 +20,7 @@
 //!   treat it as known which signals are reflected (Louis 1982). If the errors have the modelled
 //!   variance, Σψ² = Σψ′. Larger residuals widen Σ; smaller ones do not narrow it, because they
 //!   do not contain the errors that satellites have in common. One pseudorange of the modelled
-//!   variance is added as a prior.
+//!   variance is added for each epoch as a prior, and Σψ′ is at least 0.2·Σw.
 //! - σ is the standard deviation of broadcast orbit and clock, independent between satellites. i
 //!   and t are those of the ionosphere's and the troposphere's models, with one error for all
 //!   satellites: such a model errs in its zenith delay, and the common part goes into clocks and

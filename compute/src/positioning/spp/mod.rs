@@ -7,8 +7,8 @@
 //! answer does not depend on the start.
 //!
 //! The residual test compares the sum of squared whitened residuals with its chi-square limit, and
-//! `exclusion` then excludes outliers. An epoch that still fails is answered with the reason, and
-//! with its covariance multiplied by that sum per degree of freedom.
+//! `exclusion` then excludes outliers. An epoch that still fails is answered with the reason. The
+//! covariance is multiplied by that sum per degree of freedom, if that is above one.
 
 mod answer;
 mod consensus;
