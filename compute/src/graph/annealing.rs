@@ -11,21 +11,21 @@
 
 use crate::graph::kernel::Kernel;
 
-/// The stage of annealing that a solve is in. Each row takes its kernel from it.
+/// How far the kernels of a stage are widened.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Phase {
+pub enum Widening {
     /// The first stage: a row uses its convex kernel.
     Convex,
     /// A row uses its final kernel with its widths multiplied by this number, one at the end.
-    Graduated(f64),
+    Final(f64),
 }
 
 /// A kernel, and the convex one that a solve begins with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnnealedKernel {
-    /// Used in [`Phase::Convex`].
+    /// Used in [`Widening::Convex`].
     pub convex: Kernel,
-    /// Used in [`Phase::Graduated`], widened.
+    /// Used in [`Widening::Final`], widened.
     pub target: Kernel,
 }
 
@@ -35,21 +35,21 @@ impl AnnealedKernel {
         Self { convex: kernel, target: kernel }
     }
 
-    /// The kernel in a phase of annealing.
+    /// The kernel at a widening.
     #[inline]
-    pub fn at(&self, phase: Phase) -> Kernel {
-        match phase {
-            Phase::Convex => self.convex,
-            Phase::Graduated(widening) => self.target.widened(widening),
+    pub fn at(&self, widening: Widening) -> Kernel {
+        match widening {
+            Widening::Convex => self.convex,
+            Widening::Final(widening) => self.target.widened(widening),
         }
     }
 }
 
-/// A phase of annealing and its number of iterations.
+/// A widening and its number of iterations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stage {
-    /// The phase.
-    pub phase: Phase,
+    /// The widening.
+    pub widening: Widening,
     /// Maximum number of iterations; convergence ends the stage earlier.
     pub iterations: usize,
     /// Maximum number beyond that, as long as a step is longer than one standard deviation.
@@ -57,8 +57,8 @@ pub struct Stage {
 }
 
 impl Stage {
-    fn new(phase: Phase, iterations: usize) -> Self {
-        Self { phase, iterations, further: 0 }
+    fn new(widening: Widening, iterations: usize) -> Self {
+        Self { widening, iterations, further: 0 }
     }
 }
 
@@ -69,7 +69,7 @@ pub struct Schedule(Vec<Stage>);
 impl Schedule {
     /// One stage with the final kernels: for convex kernels, or where the start is good.
     pub fn direct(iterations: usize) -> Self {
-        Self(vec![Stage::new(Phase::Graduated(1.0), iterations)])
+        Self(vec![Stage::new(Widening::Final(1.0), iterations)])
     }
 
     /// `convex` iterations with the convex kernels; then `each` iterations at each of the widenings
@@ -79,14 +79,14 @@ impl Schedule {
     pub fn graduated(convex: usize, widest: f64, ratio: f64, each: usize, last: usize) -> Self {
         let mut stages = Vec::new();
         if 0 < convex {
-            stages.push(Stage::new(Phase::Convex, convex));
+            stages.push(Stage::new(Widening::Convex, convex));
         }
         let mut widening = widest;
         while 1.0 < widening && 1.0 < ratio {
-            stages.push(Stage::new(Phase::Graduated(widening), each));
+            stages.push(Stage::new(Widening::Final(widening), each));
             widening /= ratio;
         }
-        stages.push(Stage::new(Phase::Graduated(1.0), last));
+        stages.push(Stage::new(Widening::Final(1.0), last));
         Self(stages)
     }
 
@@ -115,11 +115,11 @@ mod tests {
         let schedule = Schedule::graduated(6, 15.0, 1.4, 2, 10);
         let stages = schedule.stages();
         assert_eq!(stages.len(), 11);
-        assert_eq!(stages[0], Stage::new(Phase::Convex, 6));
-        assert_eq!(stages[10], Stage::new(Phase::Graduated(1.0), 10));
-        let widenings = stages[1..].iter().map(|stage| match stage.phase {
-            Phase::Graduated(widening) => widening,
-            Phase::Convex => panic!("convex stage after the first"),
+        assert_eq!(stages[0], Stage::new(Widening::Convex, 6));
+        assert_eq!(stages[10], Stage::new(Widening::Final(1.0), 10));
+        let widenings = stages[1..].iter().map(|stage| match stage.widening {
+            Widening::Final(widening) => widening,
+            Widening::Convex => panic!("convex stage after the first"),
         });
         assert!(widenings.clone().zip(widenings.skip(1)).all(|(wide, narrow)| narrow < wide));
     }
@@ -131,8 +131,8 @@ mod tests {
             AnnealedKernel { convex: Kernel::huber(1.345), target: Kernel::geman_mcclure(2.0) };
         let (mu, c2, s): (f64, f64, f64) = (9.0, 4.0, 5.0);
         let published = (mu * c2 / (s * s + mu * c2)).powi(2);
-        assert!((kernel.at(Phase::Graduated(mu.sqrt())).weight(s) - published).abs() < 1e-15);
-        assert_eq!(kernel.at(Phase::Convex), Kernel::huber(1.345));
-        assert_eq!(kernel.at(Phase::Graduated(1.0)), kernel.target);
+        assert!((kernel.at(Widening::Final(mu.sqrt())).weight(s) - published).abs() < 1e-15);
+        assert_eq!(kernel.at(Widening::Convex), Kernel::huber(1.345));
+        assert_eq!(kernel.at(Widening::Final(1.0)), kernel.target);
     }
 }

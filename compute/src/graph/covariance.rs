@@ -213,7 +213,7 @@ impl<const S: usize> Default for Covariances<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::graph::annealing::Phase;
+    use crate::graph::annealing::Widening;
     use crate::graph::optimizer::Problem;
     use crate::graph::oracle::Linear;
     use crate::graph::system::{BorderLife, System};
@@ -227,7 +227,7 @@ mod tests {
         let mut problem = Linear::random(11, states, border);
         let mut system = System::new(life);
         system.reset(states, border);
-        problem.linearize(&problem.zero(), Phase::Convex, &mut system);
+        problem.linearize(&problem.zero(), Widening::Convex, &mut system);
         let mut elimination = Elimination::new();
         elimination.factor(&system, 0.0).unwrap();
         let (_, dense) = problem.dense();

@@ -63,7 +63,7 @@ pub struct Kernel {
     pub negative_width: f64,
     /// Factor on loss and weight: one for rows with independent errors, below one for rows whose
     /// errors are correlated in time. With 1/N, N rows with the same error count as one row.
-    pub independent_share: f64,
+    pub factor: f64,
 }
 
 impl Kernel {
@@ -72,7 +72,7 @@ impl Kernel {
 
     /// A law with the same width on both sides.
     pub(crate) const fn new(law: Law, width: f64) -> Self {
-        Self { law, positive_width: width, negative_width: width, independent_share: 1.0 }
+        Self { law, positive_width: width, negative_width: width, factor: 1.0 }
     }
 
     /// Huber's kernel; a width of 1.345 keeps 95 % efficiency on normal errors.
@@ -95,9 +95,9 @@ impl Kernel {
         Self { positive_width, negative_width, ..self }
     }
 
-    /// The same kernel with loss and weight multiplied by `independent_share`, in (0, 1].
-    pub(crate) const fn tempered(self, independent_share: f64) -> Self {
-        Self { independent_share, ..self }
+    /// The same kernel with this factor on loss and weight, in (0, 1], in place of its own.
+    pub(crate) const fn scaled(self, factor: f64) -> Self {
+        Self { factor, ..self }
     }
 
     /// The same kernel, both widths multiplied by `factor`: √μ of graduated non-convexity.
@@ -121,7 +121,7 @@ impl Kernel {
         self.loss_and_weight(s).0
     }
 
-    /// Weight w(s) = ρ′(s)/s, with its limit `independent_share` at zero.
+    /// Weight w(s) = ρ′(s)/s, with its limit `factor` at zero.
     #[inline]
     pub(crate) fn weight(&self, s: f64) -> f64 {
         let width = self.width(s);
@@ -130,14 +130,14 @@ impl Kernel {
             Law::Cauchy => width * width / (width * width + s * s),
             law => law.evaluate(s, width).1,
         };
-        self.independent_share * weight
+        self.factor * weight
     }
 
     /// Slope ψ′(s) of the influence function ψ(s) = w(s)·s; negative where a kernel redescends.
     pub(crate) fn pull_slope(&self, s: f64) -> f64 {
         let width = self.width(s);
         let ratio = (s / width).powi(2);
-        self.independent_share
+        self.factor
             * match self.law {
                 Law::Quadratic => 1.0,
                 Law::Huber => f64::from(u8::from(ratio <= 1.0)),
@@ -151,7 +151,7 @@ impl Kernel {
     pub(crate) fn loss_and_weight(&self, s: f64) -> (f64, f64) {
         let width = self.width(s);
         let (loss, weight) = self.law.evaluate(s, width);
-        (self.independent_share * loss, self.independent_share * weight)
+        (self.factor * loss, self.factor * weight)
     }
 }
 
@@ -162,7 +162,7 @@ impl Kernel {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct LossSum {
     sum: f64,
-    /// Factor κ = `independent_share`·c²/2 of the logarithm.
+    /// Factor κ = `factor`·c²/2 of the logarithm.
     scale: f64,
     /// Π (1 + (s/c)²) over the residuals since the sum was updated, all with the same κ.
     product: f64,
@@ -185,12 +185,12 @@ impl LossSum {
         }
         let width = kernel.width(s);
         let (square, limit) = (width * width, width * width + s * s);
-        let scale = 0.5 * kernel.independent_share * square;
+        let scale = 0.5 * kernel.factor * square;
         if scale != self.scale || PRODUCT_LIMIT < self.product {
             *self = Self { sum: self.value(), scale, product: 1.0 };
         }
         self.product *= limit / square;
-        kernel.independent_share * square / limit
+        kernel.factor * square / limit
     }
 
     /// Adds a known loss.
@@ -266,11 +266,11 @@ mod tests {
                     }
 
                     #[test]
-                    fn share_scales_loss_and_weight(s in -50.0..50.0, independent_share in 0.01..1.0) {
+                    fn share_scales_loss_and_weight(s in -50.0..50.0, factor in 0.01..1.0) {
                         let kernel = Kernel::new($law, 2.0);
                         let (loss, weight) = kernel.loss_and_weight(s);
-                        let tempered = kernel.tempered(independent_share).loss_and_weight(s);
-                        prop_assert_eq!(tempered, (independent_share * loss, independent_share * weight));
+                        let scaled = kernel.scaled(factor).loss_and_weight(s);
+                        prop_assert_eq!(scaled, (factor * loss, factor * weight));
                     }
                 }
             }
@@ -300,7 +300,7 @@ mod tests {
     #[test]
     fn a_sum_of_losses_is_their_sum() {
         let laws = [Law::Quadratic, Law::Huber, Law::Cauchy, Law::GemanMcClure];
-        let kernels = laws.map(|law| Kernel::new(law, 1.5).one_sided(1.5, 3.0).tempered(0.3));
+        let kernels = laws.map(|law| Kernel::new(law, 1.5).one_sided(1.5, 3.0).scaled(0.3));
         let (mut sum, mut expected) = (LossSum::ZERO, 0.0);
         for i in 0..400 {
             let (s, kernel) = (1e6 * f64::from(i - 200).powi(3), kernels[(i / 50) as usize % 4]);

@@ -41,7 +41,7 @@
 //! struct Walk;
 //!
 //! impl Problem<2> for Walk {
-//!     fn linearize(&mut self, x: &Estimate<2>, _: Phase, system: &mut System<2>) {
+//!     fn linearize(&mut self, x: &Estimate<2>, _: Widening, system: &mut System<2>) {
 //!         let huber = Kernel::huber(1.345);
 //!         for (k, reading) in [1.0, 3.0].into_iter().enumerate() {
 //!             let residual = x.states[k][0] + x.border[0] - reading;
@@ -98,16 +98,18 @@ pub mod system;
 mod block;
 mod border;
 mod lanes;
+mod median;
 
 #[cfg(test)]
 pub(crate) mod oracle;
 
-pub use annealing::{AnnealedKernel, Phase, Schedule, Stage};
+pub use annealing::{AnnealedKernel, Schedule, Stage, Widening};
 pub use covariance::Covariances;
 pub use elimination::{Elimination, EliminationError, Variable};
 pub use estimate::Estimate;
 pub(crate) use kernel::HUBER_WIDTH;
 pub use kernel::{Kernel, Law};
+pub(crate) use median::median;
 pub use optimizer::{OptimizerOptions, Outcome, Problem, Summary, Workspace, optimize};
 pub use prior::Prior;
 pub(crate) use sharing::{SharingRow, shared_offset};

@@ -10,7 +10,7 @@
 //!
 //! Source: Dellaert & Kaess (2017), sections 2.5.2 and 2.5.3; Marquardt (1963).
 
-use crate::graph::annealing::{Phase, Schedule, Stage};
+use crate::graph::annealing::{Schedule, Stage, Widening};
 use crate::graph::elimination::{Elimination, EliminationError};
 use crate::graph::estimate::Estimate;
 use crate::graph::system::{BorderLife, System};
@@ -24,8 +24,9 @@ const COST_ROUNDING: f64 = 1e-9;
 
 /// The rows of a least-squares problem.
 pub trait Problem<const S: usize> {
-    /// Adds every row, linearised at `estimate`, with the kernels of `phase`. The system is empty.
-    fn linearize(&mut self, estimate: &Estimate<S>, phase: Phase, system: &mut System<S>);
+    /// Adds every row, linearised at `estimate`, with the kernels at `widening`. The system is
+    /// empty.
+    fn linearize(&mut self, estimate: &Estimate<S>, widening: Widening, system: &mut System<S>);
 }
 
 /// gᵀH⁻¹g of a step that is one standard deviation long.
@@ -110,22 +111,22 @@ pub fn optimize<const S: usize>(
         cost: 0.0,
         decrement: 0.0,
     };
-    let (mut damping, mut phase) = (options.damping, Phase::Convex);
+    let (mut damping, mut widening) = (options.damping, Widening::Convex);
     for stage in options.schedule.stages() {
         damping = run_stage(problem, estimate, options, *stage, workspace, &mut summary)?;
-        phase = stage.phase;
+        widening = stage.widening;
     }
     if options.damping < damping {
         // Covariances from a damped factor would be too small.
         let Workspace { system, elimination, .. } = workspace;
         system.reset(estimate.states.len(), estimate.border.len());
-        problem.linearize(estimate, phase, system);
+        problem.linearize(estimate, widening, system);
         elimination.factor(system, options.damping)?;
     }
     Ok(summary)
 }
 
-/// Iterates in one phase until it has converged or stalled or no iteration is left; returns the
+/// Iterates at one widening until it has converged or stalled or no iteration is left; returns the
 /// last damping.
 fn run_stage<const S: usize>(
     problem: &mut impl Problem<S>,
@@ -143,7 +144,7 @@ fn run_stage<const S: usize>(
             break;
         }
         system.reset(estimate.states.len(), estimate.border.len());
-        problem.linearize(estimate, stage.phase, system);
+        problem.linearize(estimate, stage.widening, system);
         summary.iterations += 1;
         let (cost, bound) = (system.cost(), before + COST_ROUNDING * (1.0 + before.abs()));
         if before.is_finite() && (bound < cost || cost.is_nan()) {
@@ -201,7 +202,7 @@ mod tests {
     }
 
     impl Problem<2> for Valley {
-        fn linearize(&mut self, estimate: &Estimate<2>, _: Phase, system: &mut System<2>) {
+        fn linearize(&mut self, estimate: &Estimate<2>, _: Widening, system: &mut System<2>) {
             for row in valley(&estimate.states[0]) {
                 system.add(0, &row, &Kernel::QUADRATIC);
             }
@@ -228,7 +229,7 @@ mod tests {
     struct Cube;
 
     impl Problem<1> for Cube {
-        fn linearize(&mut self, estimate: &Estimate<1>, _: Phase, system: &mut System<1>) {
+        fn linearize(&mut self, estimate: &Estimate<1>, _: Widening, system: &mut System<1>) {
             let x = estimate.states[0].x;
             let residual = 10.0 * (x.powi(3) - 1.0);
             let row = Row { residual, columns: [0], jacobian: [30.0 * x * x] };
@@ -294,11 +295,16 @@ mod tests {
     }
 
     impl Problem<1> for Readings {
-        fn linearize(&mut self, estimate: &Estimate<1>, phase: Phase, system: &mut System<1>) {
+        fn linearize(
+            &mut self,
+            estimate: &Estimate<1>,
+            widening: Widening,
+            system: &mut System<1>,
+        ) {
             for reading in Self::all() {
                 let residual = estimate.states[0].x - reading;
                 let row = Row { residual, columns: [0], jacobian: [1.0] };
-                system.add(0, &row, &self.0.at(phase));
+                system.add(0, &row, &self.0.at(widening));
             }
         }
     }

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, SVector};
 
-use crate::graph::annealing::Phase;
+use crate::graph::annealing::Widening;
 use crate::graph::estimate::Estimate;
 use crate::graph::kernel::Kernel;
 use crate::graph::optimizer::Problem;
@@ -171,7 +171,7 @@ impl<const S: usize> Linear<S> {
 }
 
 impl<const S: usize> Problem<S> for Linear<S> {
-    fn linearize(&mut self, estimate: &Estimate<S>, _: Phase, system: &mut System<S>) {
+    fn linearize(&mut self, estimate: &Estimate<S>, _: Widening, system: &mut System<S>) {
         for row in &self.rows {
             self.add(row, 0, estimate, system);
         }

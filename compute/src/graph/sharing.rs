@@ -16,6 +16,7 @@
 use std::array;
 
 use crate::graph::kernel::{Kernel, Law};
+use crate::graph::median::median;
 use crate::graph::system::{Row, System};
 
 /// Iterations for the offset under a robust kernel; it starts at the median.
@@ -30,7 +31,7 @@ pub(crate) struct SharingRow<const N: usize> {
     pub by_offset: f64,
     /// A border variable that no other row of the group touches, with ∂r/∂b.
     pub border: Option<(usize, f64)>,
-    /// Fraction of its information that the row keeps, see [`Kernel::independent_share`].
+    /// Fraction of its information that the row keeps: the [`Kernel::factor`] of its kernel.
     pub independent_share: f64,
 }
 
@@ -49,13 +50,7 @@ pub(crate) fn shared_offset<const N: usize>(
     if kernel.law != Law::Quadratic {
         scratch.clear();
         scratch.extend(rows.iter().map(|row| -row.row.residual / row.by_offset));
-        let middle = scratch.len() / 2;
-        let (below, median, _) = scratch.select_nth_unstable_by(middle, f64::total_cmp);
-        offset = *median;
-        if rows.len().is_multiple_of(2) {
-            let other = below.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-            offset = 0.5 * (offset + other);
-        }
+        offset = median(scratch).unwrap_or(0.0);
         iterations = OFFSET_ITERATIONS;
     }
     for _ in 0..iterations {
@@ -94,7 +89,7 @@ impl<const S: usize> System<S> {
         let mut mean_residual = 0.0;
         for row in rows {
             let shifted = row.row.residual + row.by_offset * offset;
-            let (loss, weight) = kernel.tempered(row.independent_share).loss_and_weight(shifted);
+            let (loss, weight) = kernel.scaled(row.independent_share).loss_and_weight(shifted);
             self.add_cost(loss);
             let scaled = weight * row.by_offset;
             scratch.push(scaled * row.by_offset);

@@ -23,7 +23,7 @@ use crate::graph::covariance::Covariances;
 use crate::graph::elimination::{Elimination, Retired};
 use crate::graph::estimate::Estimate;
 use crate::graph::lanes::dot;
-use crate::snapshot::{Snapshot, SnapshotError, SnapshotReader, SnapshotWriter, snapshot_fields};
+use crate::snapshot::snapshot_fields;
 
 /// The distribution of a marginalised state given the next state and the border variables.
 #[derive(Clone, Debug)]
@@ -80,43 +80,22 @@ impl<const S: usize> Departure<S> {
     }
 }
 
-impl<const S: usize> Snapshot for Departure<S> {
-    fn save(&self, writer: &mut SnapshotWriter) {
-        #[rustfmt::skip]
-        let Self {
-            factor, coupling, forward, columns, variables, border_at, carried, retired,
-            retired_rows, at, next_at,
-        } = self;
-        factor.save(writer);
-        coupling.save(writer);
-        forward.save(writer);
-        columns.save(writer);
-        variables.save(writer);
-        border_at.save(writer);
-        carried.save(writer);
-        retired.save(writer);
-        retired_rows.save(writer);
-        at.save(writer);
-        next_at.save(writer);
+snapshot_fields!(
+    generic [const S: usize] Departure<S> {
+        factor,
+        coupling,
+        forward,
+        columns,
+        variables,
+        border_at,
+        carried,
+        retired,
+        retired_rows,
+        at,
+        next_at,
     }
-
-    fn load(reader: &mut SnapshotReader<'_>) -> Result<Self, SnapshotError> {
-        let departure = Self {
-            factor: Snapshot::load(reader)?,
-            coupling: Snapshot::load(reader)?,
-            forward: Snapshot::load(reader)?,
-            columns: Snapshot::load(reader)?,
-            variables: Snapshot::load(reader)?,
-            border_at: Snapshot::load(reader)?,
-            carried: Snapshot::load(reader)?,
-            retired: Snapshot::load(reader)?,
-            retired_rows: Snapshot::load(reader)?,
-            at: Snapshot::load(reader)?,
-            next_at: Snapshot::load(reader)?,
-        };
-        if departure.is_whole() { Ok(departure) } else { Err(reader.invalid("departure")) }
-    }
-}
+    checked by is_whole
+);
 
 impl<const S: usize> Departure<S> {
     /// Whether no index is beyond the end of its list.
@@ -259,6 +238,7 @@ mod tests {
     use crate::graph::oracle::Linear;
     use crate::graph::prior::Prior;
     use crate::graph::system::{BorderLife, System};
+    use crate::snapshot::{Snapshot, SnapshotReader, SnapshotWriter};
 
     const LENGTH: usize = 3;
 

@@ -187,7 +187,7 @@ mod tests {
     /// Rows that are summed first give the same system as rows added one by one.
     #[test]
     fn a_sum_is_its_rows() {
-        let kernel = Kernel::cauchy(2.0).tempered(0.5);
+        let kernel = Kernel::cauchy(2.0).scaled(0.5);
         let (mut single, mut summed) =
             (System::<5>::new(BorderLife::WholeChain), System::<5>::new(BorderLife::WholeChain));
         single.reset(2, 0);

@@ -14,7 +14,7 @@ use super::ranging::{Ranging, USED_WEIGHT};
 use super::uncertainty::ErrorModel;
 
 /// Standard deviation above which no position is reported (m).
-pub(super) const LOST_M: f64 = 1e3;
+pub(super) const SIGMA_MAX_M: f64 = 1e3;
 
 /// The state of one epoch, with the inputs of its solution.
 pub(super) struct Answer<'a> {
@@ -50,7 +50,7 @@ impl Answer<'_> {
     pub(super) fn solution(mut self) -> Solution {
         self.quality_reasons();
         let Self { frame, state, covariance, lines, ranges, weights, .. } = self;
-        if LOST_M * LOST_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
+        if SIGMA_MAX_M * SIGMA_MAX_M < covariance.fixed_view::<3, 3>(0, 0).trace() {
             return Solution::none(self.time, self.reasons);
         }
         let mut ephemerides = Vec::with_capacity(used(ranges, weights).count());

@@ -11,16 +11,16 @@ const JUMP_M: f64 = 1e3;
 pub(super) const CRYSTAL_DRIFT_M_S: f64 = 1e3;
 
 /// The whole milliseconds nearest to an error of the predicted clock (m).
-pub(super) fn whole_milliseconds_m(miss_m: f64) -> f64 {
-    (miss_m / LIGHT_MILLISECOND_M).round() * LIGHT_MILLISECOND_M
+pub(super) fn whole_milliseconds_m(clock_error_m: f64) -> f64 {
+    (clock_error_m / LIGHT_MILLISECOND_M).round() * LIGHT_MILLISECOND_M
 }
 
 /// The jump that explains an error of the predicted clock: zero or whole milliseconds. `None` if
 /// neither explains it, so that the clock must restart.
-pub(super) fn jump_m(miss_m: f64, interval_s: f64) -> Option<f64> {
+pub(super) fn jump_m(clock_error_m: f64, interval_s: f64) -> Option<f64> {
     let allowed_m = JUMP_M + CRYSTAL_DRIFT_M_S * interval_s;
-    let whole_m = whole_milliseconds_m(miss_m);
-    ((miss_m - whole_m).abs() < allowed_m).then_some(whole_m)
+    let whole_m = whole_milliseconds_m(clock_error_m);
+    ((clock_error_m - whole_m).abs() < allowed_m).then_some(whole_m)
 }
 
 #[cfg(test)]

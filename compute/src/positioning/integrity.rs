@@ -17,7 +17,7 @@
 use crate::config::{Beyond, IntegrityOptions};
 use crate::gnss::{LocalFrame, Protection, Reason, Solution, SolutionEstimate, Status};
 
-use super::code_error::WILD_M;
+use super::pseudorange_error::WILD_M;
 
 /// ν.
 const DEGREES: f64 = 4.0;

@@ -13,8 +13,8 @@ use crate::snapshot::{snapshot_fields, state_fields};
 use super::Measurement;
 use super::clock_jump::whole_milliseconds_m;
 use super::factors::{Line, PhaseDifferenceFactor, Sight, State, position};
-use super::median::median;
-use super::ranging::sighted;
+use super::ranging::above_mask;
+use crate::graph::median;
 
 /// Thermal noise of a phase difference at the reference C/N0 (m).
 const THERMAL_M: f64 = 0.004;
@@ -146,7 +146,7 @@ impl Phases {
     /// Keeps the phases of `list`, whose satellites are `sights`, for the next epoch.
     pub(super) fn keep(&mut self, sights: &[Sight], list: &[Measurement]) {
         self.kept.clear();
-        self.kept.extend(sighted(list).filter_map(Kept::of));
+        self.kept.extend(above_mask(list).filter_map(Kept::of));
         self.sights.clear();
         self.sights.extend_from_slice(sights);
     }
@@ -181,7 +181,7 @@ impl Phases {
         factors: &mut Vec<PhaseDifferenceFactor>,
     ) {
         factors.clear();
-        for (sight, measurement) in sighted(list) {
+        for (sight, measurement) in above_mask(list) {
             let Some(after) = Kept::of((sight, measurement)) else { continue };
             let Some(phase) = measurement.phase.filter(|phase| !phase.loss_of_lock) else {
                 continue;

@@ -6,32 +6,32 @@ use crate::graph::{Kernel, Law, Row};
 use crate::snapshot::snapshot_fields;
 
 use super::Measurement;
-use super::code_error::{CodeError, Likelihood, Whitened};
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
 use super::log_product::LogProduct;
-use super::median::median;
+use super::pseudorange_error::{Likelihood, PseudorangeError, Whitened};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
+use crate::graph::median;
 
 /// The measurements above the mask, each with the index of its satellite among the epoch's sights.
-pub(super) fn sighted(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measurement)> {
+pub(super) fn above_mask(list: &[Measurement]) -> impl Iterator<Item = (u16, &Measurement)> {
     (0..).zip(list.iter().filter(|measurement| measurement.is_above_mask))
 }
 
 /// Replaces `sights` by one for each measurement above the mask, in their order.
 pub(super) fn look(frame: &LocalFrame, list: &[Measurement], sights: &mut Vec<Sight>) {
     sights.clear();
-    sights.extend(sighted(list).map(|(_, m)| Sight::new(frame, m.state.position)));
+    sights.extend(above_mask(list).map(|(_, m)| Sight::new(frame, m.state.position)));
 }
 
 /// Doppler rows, in the frame, of the measurements that are not excluded, for a receiver near
 /// `receiver`; `sigma_m_s` is their standard deviation at the reference C/N0.
 pub(super) fn rates<'a>(
-    sighted: impl Iterator<Item = (u16, &'a Measurement)>,
+    above_mask: impl Iterator<Item = (u16, &'a Measurement)>,
     frame: &LocalFrame,
     receiver: Ecef,
     sigma_m_s: f64,
 ) -> impl Iterator<Item = DopplerFactor> {
-    sighted.filter(|(_, m)| !m.is_excluded).filter_map(move |(sight, measurement)| {
+    above_mask.filter(|(_, m)| !m.is_excluded).filter_map(move |(sight, measurement)| {
         let cn0_db_hz = measurement.cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ);
         let sigma_m_s = variance_m2_s2(sigma_m_s, cn0_db_hz).sqrt();
         let rate_m_s = measurement.range_rate_m_s?;
@@ -71,7 +71,7 @@ pub(super) struct Reflection {
     /// Probability that it is a reflection.
     pub(super) reflected_probability: f64,
     /// Its error model before anything was learnt about the receiver.
-    pub(super) before_learning: CodeError,
+    pub(super) before_learning: PseudorangeError,
 }
 
 snapshot_fields!(Reflection { reflected_probability, before_learning });
@@ -154,16 +154,20 @@ impl Ranging {
     }
 
     /// Sets the error model, and the one before anything was learnt.
-    pub(super) fn follow(&mut self, error: CodeError, before_learning: CodeError) {
+    pub(super) fn set_error_model(
+        &mut self,
+        error: PseudorangeError,
+        before_learning: PseudorangeError,
+    ) {
         self.factor.inverse_sigma = error.sigma_m.recip();
         self.reflection =
             Some(Reflection { reflected_probability: error.reflected, before_learning });
     }
 
     /// The error model, if one is set.
-    pub(super) fn error(&self) -> Option<CodeError> {
+    pub(super) fn error(&self) -> Option<PseudorangeError> {
         let sigma_m = self.factor.inverse_sigma.recip();
-        self.reflection.map(|reflection| CodeError {
+        self.reflection.map(|reflection| PseudorangeError {
             sigma_m,
             reflected: reflection.reflected_probability,
             ..reflection.before_learning
@@ -221,7 +225,7 @@ impl Ranging {
     }
 
     /// Measured minus predicted pseudorange (m).
-    pub(super) fn miss_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
+    pub(super) fn excess_m(&self, lines: &[Line], state: &State, biases_m: &[f64]) -> f64 {
         let row = self.linearize(lines, state, biases_m);
         -row.residual / self.factor.inverse_sigma
     }
@@ -239,21 +243,21 @@ pub(super) struct ClockChange {
 
 /// The pseudoranges of an epoch at a state.
 #[derive(Clone, Copy)]
-pub(super) struct SeenRanges<'a> {
+pub(super) struct RangesAt<'a> {
     pub(super) ranges: &'a [Ranging],
     /// Lines of sight from the state.
     pub(super) lines: &'a [Line],
     pub(super) state: &'a State,
 }
 
-impl SeenRanges<'_> {
+impl RangesAt<'_> {
     /// Finds the clock, and the biases that begin, from the medians of the pseudoranges.
     ///
     /// The biases of constellations that begin are added to `biases_m` and `begun`, and `begins` is
     /// called with the index and value of each. Until the reference begins, the clock is that of
     /// the constellations that have begun, each with its bias. When it begins, the known biases
     /// are changed by −[`ClockChange::reference_m`].
-    pub(super) fn settle_clock(
+    pub(super) fn start_clocks(
         &self,
         biases_m: &mut [f64],
         begun: &mut [bool; Constellation::COUNT],
@@ -262,7 +266,7 @@ impl SeenRanges<'_> {
     ) -> ClockChange {
         let index = |range: &Ranging| range.satellite.constellation.index();
         let known = |range: &&Ranging| begun[index(range)];
-        let mut clock_m = self.median_miss_m(known, biases_m, numbers);
+        let mut clock_m = self.median_excess_m(known, biases_m, numbers);
         let mut reference_m = 0.0;
         for constellation in Constellation::ALL.into_iter().map(Constellation::index) {
             let of = |range: &&Ranging| index(range) == constellation;
@@ -271,7 +275,7 @@ impl SeenRanges<'_> {
             if let Some(variable) = first.bias {
                 biases_m[variable as usize] = 0.0;
             }
-            let own_m = self.median_miss_m(of, biases_m, numbers).unwrap_or(0.0);
+            let own_m = self.median_excess_m(of, biases_m, numbers).unwrap_or(0.0);
             let since_m = own_m - *clock_m.get_or_insert(own_m);
             match first.bias.map(|variable| variable as usize) {
                 Some(variable) => {
@@ -290,7 +294,7 @@ impl SeenRanges<'_> {
     }
 
     /// Median of measured minus predicted pseudoranges (m) for which `is_wanted` is true.
-    fn median_miss_m(
+    fn median_excess_m(
         &self,
         is_wanted: impl Fn(&&Ranging) -> bool,
         biases_m: &[f64],
@@ -299,7 +303,7 @@ impl SeenRanges<'_> {
         let Self { ranges, lines, state } = *self;
         let wanted = ranges.iter().filter(is_wanted);
         numbers.clear();
-        numbers.extend(wanted.map(|range| range.miss_m(lines, state, biases_m)));
+        numbers.extend(wanted.map(|range| range.excess_m(lines, state, biases_m)));
         median(numbers)
     }
 }

@@ -2,7 +2,9 @@
 //! of a state.
 
 use crate::config::{GraphOptions, KernelLaw, Mode, PositioningOptions};
-use crate::graph::{AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, Phase, Schedule};
+use crate::graph::{
+    AnnealedKernel, HUBER_WIDTH, Kernel, Law, OptimizerOptions, Schedule, Widening,
+};
 
 use super::chi_square::ChiSquareLimits;
 use super::factors::{ClockWalk, MotionWalk};
@@ -83,7 +85,7 @@ impl Setup {
     }
 }
 
-/// Robust kernels by kind of measurement, as one phase of annealing uses them.
+/// Robust kernels by kind of measurement, as a stage of the solve uses them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kernels {
     pub(super) pseudorange: Kernel,
@@ -104,19 +106,19 @@ pub(super) struct AnnealedKernels {
 }
 
 impl AnnealedKernels {
-    /// The kernels of one phase of annealing.
-    pub(super) fn at(&self, phase: Phase) -> Kernels {
+    /// The kernels at a widening.
+    pub(super) fn at(&self, widening: Widening) -> Kernels {
         Kernels {
-            pseudorange: self.pseudorange.at(phase),
+            pseudorange: self.pseudorange.at(widening),
             doppler: self.doppler,
-            phase: self.phase.at(phase),
+            phase: self.phase.at(widening),
             weighted_by_pseudorange: self.weighted_by_pseudorange,
         }
     }
 
     /// The kernels at the end of a solve.
     pub(super) fn last(&self) -> Kernels {
-        self.at(Phase::Graduated(1.0))
+        self.at(Widening::Final(1.0))
     }
 }
 

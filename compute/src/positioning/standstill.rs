@@ -18,8 +18,8 @@ use super::factors::{DopplerFactor, State};
 /// Probability that some epoch of a second at rest fails the test.
 const FALSE_ALARM: f64 = 0.05;
 /// The speed that must be visible (m/s), and the increase of the sum at which it is visible.
-const SHOWING_M_S: f64 = 0.3;
-const SHOWN_BY: f64 = 25.0;
+const VISIBLE_M_S: f64 = 0.3;
+const VISIBLE_INCREASE: f64 = 25.0;
 /// Time for which every epoch must pass the test (s). Between epochs further apart the receiver may
 /// have moved.
 const STILL_S: f64 = 2.0;
@@ -36,30 +36,30 @@ snapshot_fields!(Standstill { still_s });
 /// Whether the rates of one epoch fit a receiver at rest, and would not fit a slow motion. At rest
 /// the epoch fails with the probability that a second of epochs at this interval requires.
 fn passes(rates: &[DopplerFactor], interval_s: f64) -> bool {
-    let rows = || rates.iter().map(|rate| rate.linearize(&State::zeros()));
-    let (mut weight, mut along, mut mean) = (0.0, 0.0, Vector2::zeros());
-    for row in rows() {
-        let [east, north, _, w] = row.jacobian;
-        weight += w * w;
-        along -= w * row.residual;
-        mean += Vector2::new(east, north) * w;
-    }
     if rates.len() < 2 {
         return false;
     }
-    let (drift_m_s, mean) = (along / weight, mean / weight);
-    let (mut squares, mut shows) = (0.0, Matrix2::zeros());
+    let rows = || rates.iter().map(|rate| rate.linearize(&State::zeros()));
+    let (mut weight, mut weighted_rates, mut mean) = (0.0, 0.0, Vector2::zeros());
+    for row in rows() {
+        let [east, north, _, w] = row.jacobian;
+        weight += w * w;
+        weighted_rates -= w * row.residual;
+        mean += Vector2::new(east, north) * w;
+    }
+    let (drift_m_s, mean) = (weighted_rates / weight, mean / weight);
+    let (mut squares, mut visibility) = (0.0, Matrix2::zeros());
     for row in rows() {
         let [east, north, _, w] = row.jacobian;
         squares += (row.residual + w * drift_m_s).powi(2);
         let slope = Vector2::new(east, north) - mean * w;
-        shows += slope * slope.transpose();
+        visibility += slope * slope.transpose();
     }
-    let (half_trace, determinant) = (0.5 * shows.trace(), shows.determinant());
-    let least = half_trace - (half_trace * half_trace - determinant).max(0.0).sqrt();
+    let (half_trace, determinant) = (0.5 * visibility.trace(), visibility.determinant());
+    let smaller_eigenvalue = half_trace - (half_trace * half_trace - determinant).max(0.0).sqrt();
     let false_alarm = 1.0 - (1.0 - FALSE_ALARM).powf(interval_s);
     false_alarm <= probability_above(rates.len() - 1, squares)
-        && SHOWN_BY <= least * SHOWING_M_S * SHOWING_M_S
+        && VISIBLE_INCREASE <= smaller_eigenvalue * VISIBLE_M_S * VISIBLE_M_S
 }
 
 impl Standstill {

@@ -111,7 +111,7 @@ impl Residuals {
 
     /// Whether most pseudoranges of one epoch are rejected, although they could determine a
     /// position.
-    pub(super) fn is_lost(&self) -> bool {
+    pub(super) fn lacks_redundancy(&self) -> bool {
         1.0 <= self.redundancy && self.redundancy <= self.count - self.accepted
     }
 
@@ -290,7 +290,11 @@ mod tests {
         let of = |count: usize, rejected: usize| {
             Residuals::of((0..count).map(|i| influence(0.5, 1.0, rejected <= i)))
         };
-        assert!(of(9, 5).is_lost() && !of(9, 4).is_lost() && !of(4, 4).is_lost());
+        assert!(
+            of(9, 5).lacks_redundancy()
+                && !of(9, 4).lacks_redundancy()
+                && !of(4, 4).lacks_redundancy()
+        );
     }
 
     /// Seven pseudoranges of weight one, ψ = ±2: (28 + 1)/(7 + 1). With ψ′ = ½, Σψ′ = 3.5:

@@ -21,7 +21,7 @@ pub(super) const CN0_IF_MISSING_DB_HZ: f64 = REFERENCE_CN0_DB_HZ;
 /// Largest number of solutions; the weights settle to a millimetre per second within it.
 const ITERATIONS_MAX: usize = 20;
 /// Change of velocity below which the weights have settled (m/s).
-const SETTLED_M_S: f64 = 1e-4;
+const CONVERGED_M_S: f64 = 1e-4;
 /// Smallest ratio of the smallest to the largest pivot at which the velocity is determined.
 const PIVOT_RATIO_MIN: f64 = 1e-10;
 
@@ -135,7 +135,7 @@ fn solve(rows: &[Row], huber: f64) -> Option<Velocity> {
         let next = inverse * right;
         let change = (next - state).norm();
         state = next;
-        if change < SETTLED_M_S {
+        if change < CONVERGED_M_S {
             break;
         }
     }

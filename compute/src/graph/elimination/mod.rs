@@ -259,7 +259,7 @@ impl<const S: usize> Default for Elimination<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::graph::annealing::Phase;
+    use crate::graph::annealing::Widening;
     use crate::graph::kernel::Kernel;
     use crate::graph::optimizer::Problem;
     use crate::graph::oracle::Linear;
@@ -270,7 +270,7 @@ mod tests {
         let mut elimination = Elimination::new();
         let mut delta = problem.zero();
         system.reset(problem.states, problem.border);
-        problem.linearize(&delta, Phase::Convex, &mut system);
+        problem.linearize(&delta, Widening::Convex, &mut system);
         elimination.factor(&system, 0.0).unwrap();
         elimination.solve(&mut delta);
         delta
@@ -294,7 +294,7 @@ mod tests {
         let problem = Linear::<5>::random(1, 60, 60);
         let mut system = System::new(BorderLife::WhileTouched);
         system.reset(60, 60);
-        problem.clone().linearize(&problem.zero(), Phase::Convex, &mut system);
+        problem.clone().linearize(&problem.zero(), Widening::Convex, &mut system);
         let mut elimination = Elimination::new();
         elimination.factor(&system, 0.0).unwrap();
         let most = elimination.steps.iter().map(|step| step.alive).max();
@@ -367,7 +367,7 @@ mod tests {
             let mut capacities = Vec::new();
             for _ in 0..4 {
                 system.reset(20, 12);
-                problem.linearize(&problem.zero(), Phase::Convex, &mut system);
+                problem.linearize(&problem.zero(), Widening::Convex, &mut system);
                 elimination.factor(&system, 0.0).unwrap();
                 elimination.solve(&mut delta);
                 capacities.push((system.capacity(), elimination.capacity()));
@@ -383,7 +383,7 @@ mod tests {
         let mut system = System::new(BorderLife::WholeChain);
         system.reset(6, 2);
         let mut delta = problem.zero();
-        problem.linearize(&delta, Phase::Convex, &mut system);
+        problem.linearize(&delta, Widening::Convex, &mut system);
         let mut elimination = Elimination::new();
         let lengths = [0.0, 0.1, 10.0].map(|damping| {
             elimination.factor(&system, damping).unwrap();

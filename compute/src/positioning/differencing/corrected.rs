@@ -16,8 +16,8 @@
 //! The offset therefore makes no step when a satellite comes or goes.
 
 use crate::gnss::SatelliteId;
+use crate::graph::median;
 use crate::positioning::measurements::CorrectedRanges;
-use crate::positioning::median::median;
 use crate::snapshot::state_fields;
 
 use super::SingleDifferences;

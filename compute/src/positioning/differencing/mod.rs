@@ -34,10 +34,10 @@ use crate::models::{
 
 use crate::snapshot::snapshot_fields;
 
-use super::code_error::WILD_M;
 use super::measurements::{PSEUDORANGES_M, RELATIVE_HUMIDITY};
-use super::median::median;
+use super::pseudorange_error::WILD_M;
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
+use crate::graph::median;
 pub(super) use corrected::BaseClock;
 use pairing::{Pair, pairs};
 pub(super) use signal_levels::SignalLevels;

@@ -14,12 +14,13 @@ use crate::positioning::factors::{
     CLOCK, DRIFT, OdometryFactor, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{Influence, Ranging, SeenRanges, look, rates, sighted};
+use crate::positioning::ranging::{Influence, RangesAt, Ranging, above_mask, look, rates};
 use crate::positioning::setup::Setup;
 use crate::positioning::spp::SinglePoint;
 use crate::positioning::standstill::Standstill;
 use crate::positioning::starts::{
-    FRAME_LIMIT_M, LOST_S, START_CLOCK_M, START_M, START_M_S, UNKNOWN_SPEED_M_S,
+    FAILING_MAX_S, FRAME_LIMIT_M, START_BIAS_M, START_CLOCK_M, START_M, START_M_S,
+    UNKNOWN_SPEED_M_S,
 };
 use crate::positioning::uncertainty::{ErrorModel, Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
@@ -28,8 +29,6 @@ use crate::snapshot::state_fields;
 use super::gaussian::{BIAS, Gaussian};
 use super::rows::Rows;
 
-/// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
-const BIAS_M: f64 = 300.0;
 /// Least standard deviation of a phase difference (m): a quarter wavelength at L1, the bound of
 /// multipath from a reflection no stronger than the signal. The filter has no kernel for phases,
 /// and its innovation test accepts the rows that come first, right or wrong. With 0.01 m the data
@@ -139,7 +138,7 @@ impl FilterScratch {
         }
         let receiver = known.frame.to_ecef(Enu(position(&known.gaussian.state())));
         self.observe(inputs, &known.frame, receiver)?;
-        self.settle_clock(known, Some(interval_s), graph);
+        self.start_clocks(known, Some(interval_s), graph);
         self.rates(&known.frame, receiver, inputs.options());
         if graph.phase {
             let before = |satellite| known.phases.ephemeris(satellite);
@@ -163,7 +162,7 @@ impl FilterScratch {
         );
         let is_failing = self.rows.used.len() * 2 < self.rows.ranges.len();
         known.failing_s = if is_failing { known.failing_s + interval_s } else { 0.0 };
-        if LOST_S < known.failing_s && self.can_begin(inputs) {
+        if FAILING_MAX_S < known.failing_s && self.can_begin(inputs) {
             return None;
         }
         Some(self.finish(inputs, known, interval_s))
@@ -216,7 +215,7 @@ impl FilterScratch {
             known.gaussian.renew(VELOCITY + axis, local[axis], START_M_S);
         }
         known.gaussian.renew(DRIFT, drift_m_s, CRYSTAL_DRIFT_M_S);
-        self.settle_clock(&mut known, None, &options.graph);
+        self.start_clocks(&mut known, None, &options.graph);
         if velocity.is_some() {
             self.rates(&known.frame, estimate.position, options);
             // The filter has no velocity yet: test against the epoch's own.
@@ -255,7 +254,7 @@ impl FilterScratch {
             a.variance_m2.total_cmp(&b.variance_m2).then(a.satellite.cmp(&b.satellite))
         });
         look(frame, &measurements.list, &mut rows.sights);
-        for (sight, measurement) in sighted(&measurements.list).filter(|(_, m)| !m.is_excluded) {
+        for (sight, measurement) in above_mask(&measurements.list).filter(|(_, m)| !m.is_excluded) {
             let constellation = measurement.satellite.constellation;
             let bias = constellation != Constellation::Gps;
             let bias = bias.then_some(constellation.index() as u32);
@@ -269,22 +268,22 @@ impl FilterScratch {
     ///
     /// Without an interval all clocks start. Without a motion model the receiver clock starts at
     /// every epoch.
-    fn settle_clock(&mut self, known: &mut Known, interval_s: Option<f64>, graph: &GraphOptions) {
+    fn start_clocks(&mut self, known: &mut Known, interval_s: Option<f64>, graph: &GraphOptions) {
         let state = known.gaussian.state();
         self.rows.see(&state);
         let Rows { ranges, lines, numbers, .. } = &mut self.rows;
         let Known { gaussian, begun, .. } = known;
         let mut biases_m = [0.0; Constellation::COUNT];
         biases_m.copy_from_slice(gaussian.biases_m());
-        let begins = |index, mean_m| gaussian.renew(BIAS + index, mean_m, BIAS_M);
-        let seen = SeenRanges { ranges, lines, state: &state };
+        let begins = |index, mean_m| gaussian.renew(BIAS + index, mean_m, START_BIAS_M);
+        let seen = RangesAt { ranges, lines, state: &state };
         // Where the reference begins late, its rows move the clock: its variance is still large.
-        let change = seen.settle_clock(&mut biases_m, begun, numbers, begins);
-        let miss_m = change.clock_m.unwrap_or(0.0);
-        let jump_m = interval_s.filter(|_| graph.motion).and_then(|s| jump_m(miss_m, s));
+        let change = seen.start_clocks(&mut biases_m, begun, numbers, begins);
+        let clock_error_m = change.clock_m.unwrap_or(0.0);
+        let jump_m = interval_s.filter(|_| graph.motion).and_then(|s| jump_m(clock_error_m, s));
         match jump_m {
             Some(jump_m) => known.gaussian.shift(CLOCK, jump_m),
-            None => known.gaussian.renew(CLOCK, state[CLOCK] + miss_m, START_CLOCK_M),
+            None => known.gaussian.renew(CLOCK, state[CLOCK] + clock_error_m, START_CLOCK_M),
         }
         if !graph.motion && interval_s.is_some() {
             known.gaussian.renew(DRIFT, 0.0, CRYSTAL_DRIFT_M_S);
@@ -294,7 +293,7 @@ impl FilterScratch {
     /// Doppler rows of the measurements that are used.
     fn rates(&mut self, frame: &LocalFrame, receiver: Ecef, options: &PositioningOptions) {
         if options.graph.doppler == DopplerUse::Satellites {
-            let list = sighted(&self.measurements.list);
+            let list = above_mask(&self.measurements.list);
             self.rows.rates.extend(rates(list, frame, receiver, options.doppler_sigma_m_s));
         }
     }

@@ -51,7 +51,7 @@ impl Innovation {
     }
 
     /// The same row with R divided by the independent share of its information.
-    pub(super) fn tempered(self, independent_share: f64) -> Self {
+    pub(super) fn scaled(self, independent_share: f64) -> Self {
         Self { variance: independent_share.recip(), ..self }
     }
 }
@@ -225,7 +225,7 @@ mod tests {
         let mut tested = gaussian();
         assert!(!tested.update(&row(0, -10.0), 10.8));
         assert_eq!(tested, gaussian());
-        assert!(tested.update(&row(0, -10.0).tempered(0.01), 10.8));
+        assert!(tested.update(&row(0, -10.0).scaled(0.01), 10.8));
     }
 
     /// The information of a sum is the sum of the information: P⁻¹ + Σ JᵀJ/R.
@@ -235,7 +235,7 @@ mod tests {
         gaussian.predict(Some((&MOTION, &CLOCK_WALK)), 2.0);
         let columns = [0, 3, CLOCK];
         let rows = [[0.4, -0.3, 1.0], [-0.7, 0.1, 1.0], [0.2, 0.9, 0.5]].map(|jacobian| {
-            Innovation::row(&Row { residual: 0.3, columns, jacobian }, None).tempered(0.5)
+            Innovation::row(&Row { residual: 0.3, columns, jacobian }, None).scaled(0.5)
         });
         let mut information = gaussian.state_covariance().try_inverse().unwrap();
         for row in &rows {

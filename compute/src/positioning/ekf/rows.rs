@@ -91,7 +91,7 @@ impl Rows {
             let line = self.sights[usize::from(range.sight)].range(&position(&state));
             let row = range.factor.linearize(&line, &state, range.bias_m(gaussian.biases_m()));
             let bias = range.bias.map(|index| (index as usize, range.factor.inverse_sigma));
-            if gaussian.update(&Innovation::row(&row, bias).tempered(independent_share), limit) {
+            if gaussian.update(&Innovation::row(&row, bias).scaled(independent_share), limit) {
                 self.used.push(range.satellite);
             }
         }

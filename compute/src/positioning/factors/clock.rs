@@ -35,14 +35,14 @@ impl ClockWalk {
 
 /// The step of one clock against another.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ClockTie {
+pub(crate) struct ClockStepPrior {
     /// Expected step (m).
     pub(crate) mean_m: f64,
     /// Squared scale of Student's t of three degrees of freedom (m²).
     pub(crate) scale_m2: f64,
 }
 
-snapshot_fields!(ClockTie { mean_m, scale_m2 });
+snapshot_fields!(ClockStepPrior { mean_m, scale_m2 });
 
 /// Clock factor between two states, two rows.
 ///
@@ -76,7 +76,7 @@ impl ClockFactor {
 
     /// The same if the code's clock moves against the integral of the drift: the expected step is
     /// added to J, and its squared scale to σ₁².
-    pub(in crate::positioning) fn with_tie(self, tie: ClockTie) -> Self {
+    pub(in crate::positioning) fn with_step_prior(self, tie: ClockStepPrior) -> Self {
         let variance_m2 = self.inverse_clock.powi(-2) + tie.scale_m2;
         Self { jump_m: self.jump_m + tie.mean_m, inverse_clock: variance_m2.sqrt().recip(), ..self }
     }
@@ -134,11 +134,11 @@ mod tests {
     #[test]
     fn a_tie_moves_and_loosens_the_clock() {
         let factor = ClockFactor::new(&WALK, 1.0, Some(5.0));
-        let tied = factor.with_tie(ClockTie { mean_m: 30.0, scale_m2: 4.0 });
+        let tied = factor.with_step_prior(ClockStepPrior { mean_m: 30.0, scale_m2: 4.0 });
         let residual = tied.clock_row(&state(), &next_state()).residual;
         assert!((residual + 34.75 / 4.12_f64.sqrt()).abs() < 1e-9, "{residual}");
         let free = ClockFactor::new(&WALK, 1.0, None);
-        let free = free.with_tie(ClockTie { mean_m: 30.0, scale_m2: 4.0 });
+        let free = free.with_step_prior(ClockStepPrior { mean_m: 30.0, scale_m2: 4.0 });
         assert_eq!(free.clock_row(&state(), &next_state()).residual, 0.0);
     }
 

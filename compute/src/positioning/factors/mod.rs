@@ -33,7 +33,7 @@ mod sight;
 mod zero_velocity;
 
 pub(super) use bias::BiasFactor;
-pub(super) use clock::{ClockFactor, ClockTie, ClockWalk};
+pub(super) use clock::{ClockFactor, ClockStepPrior, ClockWalk};
 pub(super) use component::ComponentFactor;
 pub(super) use doppler::DopplerFactor;
 pub(super) use doppler_velocity::DopplerVelocityFactor;

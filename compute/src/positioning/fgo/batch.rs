@@ -32,23 +32,23 @@ pub(crate) struct WholeChain {
     scratch: ChainScratch,
     workspace: Workspace<STATE>,
     /// `None` with other kernels than the mixture.
-    lead: Option<Box<Lead>>,
+    first_pass: Option<Box<FirstPass>>,
 }
 
 /// The sliding window that is run first.
 #[derive(Debug)]
-struct Lead {
+struct FirstPass {
     window: SlidingWindow,
     scratch: WindowScratch,
     /// The last state of each epoch in the window.
-    states: BTreeMap<GpsTime, LeadState>,
+    states: BTreeMap<GpsTime, WindowState>,
     /// Whether the start of the window was proven since the chain began.
     is_proven: bool,
 }
 
 /// A state of the window; frames of window and chain may differ.
 #[derive(Clone, Copy, Debug)]
-struct LeadState {
+struct WindowState {
     position: Ecef,
     /// ECEF (m/s).
     velocity_m_s: Vector3<f64>,
@@ -56,7 +56,7 @@ struct LeadState {
     drift_m_s: f64,
 }
 
-impl Lead {
+impl FirstPass {
     fn new(setup: &Setup) -> Self {
         let window = SlidingWindow::new(setup, false);
         let (scratch, states) = (WindowScratch::default(), BTreeMap::new());
@@ -70,7 +70,7 @@ impl Lead {
         let Chain { frame, epochs, estimate, .. } = &window.chain;
         states.extend(epochs.iter().zip(&estimate.states).map(|(epoch, state)| {
             let velocity_m_s = state.fixed_rows::<3>(VELOCITY).into_owned();
-            let state = LeadState {
+            let state = WindowState {
                 position: frame.to_ecef(Enu(position(state))),
                 velocity_m_s: frame.rotation.transpose() * velocity_m_s,
                 clock_m: state[CLOCK],
@@ -82,14 +82,16 @@ impl Lead {
 
     /// Sets the chain's states and biases to those of the window. If the window's position was
     /// proven, so is that of the chain, which has all its epochs.
-    fn place(&mut self, chain: &mut Chain) {
+    fn set_start(&mut self, chain: &mut Chain) {
         chain.is_proven = std::mem::take(&mut self.is_proven);
         let Chain { frame, epochs, estimate, .. } = chain;
         for (epoch, state) in epochs.iter().zip(&mut estimate.states) {
-            let Some(lead) = self.states.get(&epoch.time) else { continue };
-            state.fixed_rows_mut::<3>(0).copy_from(&frame.to_enu(lead.position).0);
-            state.fixed_rows_mut::<3>(VELOCITY).copy_from(&(frame.rotation * lead.velocity_m_s));
-            (state[CLOCK], state[DRIFT]) = (lead.clock_m, lead.drift_m_s);
+            let Some(first_pass) = self.states.get(&epoch.time) else { continue };
+            state.fixed_rows_mut::<3>(0).copy_from(&frame.to_enu(first_pass.position).0);
+            state
+                .fixed_rows_mut::<3>(VELOCITY)
+                .copy_from(&(frame.rotation * first_pass.velocity_m_s));
+            (state[CLOCK], state[DRIFT]) = (first_pass.clock_m, first_pass.drift_m_s);
         }
         let biases_m = &self.window.chain.estimate.border;
         estimate.border.iter_mut().zip(biases_m).for_each(|(own, known)| *own = *known);
@@ -106,7 +108,7 @@ impl WholeChain {
             single_point: SinglePoint::default(),
             scratch: ChainScratch::default(),
             workspace: Workspace::new(BorderLife::WhileTouched),
-            lead: setup.learns.then(|| Box::new(Lead::new(setup))),
+            first_pass: setup.learns.then(|| Box::new(FirstPass::new(setup))),
         }
     }
 
@@ -151,9 +153,9 @@ impl WholeChain {
         }
         let before = |satellite| self.chain.ephemeris(satellite);
         measurements.follow_ephemerides(before, receiver, epoch.time, navigation);
-        if let Some(lead) = &mut self.lead {
-            self.chain.receiver = lead.window.chain.receiver.clone();
-            lead.advance(inputs);
+        if let Some(first_pass) = &mut self.first_pass {
+            self.chain.receiver = first_pass.window.chain.receiver.clone();
+            first_pass.advance(inputs);
         }
         self.chain.append(epoch.time, guess, measurements, inputs.setup, &mut self.scratch);
         self.alone.push(alone);
@@ -172,8 +174,8 @@ impl WholeChain {
         if chain.epochs.is_empty() {
             return;
         }
-        if let Some(lead) = &mut self.lead {
-            lead.place(chain);
+        if let Some(first_pass) = &mut self.first_pass {
+            first_pass.set_start(chain);
         }
         match chain.solve(&setup.alone, &setup.alone.whole, scratch, workspace) {
             Ok(_) => {

@@ -9,7 +9,7 @@ use crate::gnss::{
     Constellation, Ecef, Enu, EphemerisIssue, GpsTime, LocalFrame, Odometry, SatelliteId,
 };
 use crate::graph::{
-    Elimination, EliminationError, Estimate, OptimizerOptions, Phase, Prior, Problem, System,
+    Elimination, EliminationError, Estimate, OptimizerOptions, Prior, Problem, System, Widening,
     Workspace, optimize,
 };
 use crate::positioning::clock_jump::jump_m;
@@ -18,22 +18,19 @@ use crate::positioning::factors::{
     OdometryFactor, STATE, State, VELOCITY, ZeroVelocityFactor, position,
 };
 use crate::positioning::phases::{ClockScratch, Phases};
-use crate::positioning::ranging::{ClockChange, Ranging, SeenRanges, look, rates, sighted};
+use crate::positioning::ranging::{ClockChange, RangesAt, Ranging, above_mask, look, rates};
 use crate::positioning::receiver::{self, ReceiverModel, Signal, common_ionosphere_m};
 use crate::positioning::rivals::Watch;
 use crate::positioning::setup::{GraphSettings, Setup};
 use crate::positioning::standstill::Standstill;
-use crate::positioning::starts::{UNKNOWN_SPEED_M_S, start_frame};
+use crate::positioning::starts::{START_BIAS_M, UNKNOWN_SPEED_M_S, start_frame};
 use crate::positioning::uncertainty::{Residuals, repetition};
 use crate::positioning::velocity::VelocityEstimator;
 use crate::positioning::{Measurement, Measurements};
 use crate::snapshot::state_fields;
 
-use super::epoch::{Factors, GraphEpoch, Miss, Rows, Seen, Tie};
+use super::epoch::{EpochLink, Excess, Factors, GraphEpoch, Rows, Seen};
 use super::start::{follow_doppler, is_precise, regularize};
-
-/// Standard deviation of an inter-system bias before it is measured (m): 1 µs.
-pub(super) const BIAS_M: f64 = 300.0;
 
 /// The epochs in the graph, their estimate, and the prior of those marginalised.
 #[derive(Debug)]
@@ -87,7 +84,7 @@ pub(super) struct ChainScratch {
     pub(super) numbers: Vec<f64>,
     pub(super) lines: Vec<Line>,
     /// Residuals of which the search for other positions takes the medians.
-    pub(super) misses: Vec<Miss>,
+    pub(super) excesses: Vec<Excess>,
     pub(super) seen: [Seen; 2],
     clock: ClockScratch,
     velocity: VelocityEstimator,
@@ -197,7 +194,9 @@ impl Chain {
         scratch: &mut ChainScratch,
     ) {
         let options = &setup.options.graph;
-        let interval_s = self.open_epoch(time, measurements, &mut scratch.factors);
+        let interval_s = self.last_time().map(|last| time - last);
+        self.started = interval_s.map_or(time, |_| self.started);
+        self.begin_factors(measurements, &mut scratch.factors);
         let factors = &mut scratch.factors;
         let receiver = self.frame.to_ecef(Enu(position(&guess)));
         let velocity =
@@ -208,8 +207,8 @@ impl Chain {
             self.receiver.observe(time, &measurements.list);
         }
         look(&self.frame, &measurements.list, &mut factors.sights);
-        self.range(measurements, setup, scratch);
-        self.add_rates(receiver, &measurements.list, setup, scratch);
+        self.add_pseudoranges(measurements, setup, scratch);
+        self.add_dopplers(receiver, &measurements.list, setup, scratch);
         scratch.is_start_precise = true;
         if let (true, Some(interval_s), Some(before)) =
             (setup.learns, interval_s, self.estimate.states.last())
@@ -218,12 +217,12 @@ impl Chain {
             let follows = follow_doppler(&mut guess, before, interval_s, rates);
             scratch.is_start_precise = is_precise(interval_s, follows, options.horizontal_walk_m_s);
         }
-        let clock_m = self.settle_clock(&mut guess, scratch);
+        let clock_m = self.start_clocks(&mut guess, scratch);
         let factors = &mut scratch.factors;
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
             factors.tie = Some(self.tie(interval_s, clock_m, setup));
             factors.phase_clock =
-                setup.learns.then(|| self.receiver.phase_against_code(interval_s));
+                setup.learns.then(|| self.receiver.phase_against_pseudorange(interval_s));
             if options.phase {
                 let (list, sigma_m) = (&measurements.list, options.phase_sigma_m);
                 let phases = &mut factors.phases;
@@ -237,8 +236,16 @@ impl Chain {
         if let Some(odometry) = &measurements.odometry {
             self.add_odometry(factors, odometry, interval_s, receiver);
         }
-        let share = self.independent_share(interval_s, setup, scratch);
         let factors = &mut scratch.factors;
+        let mut share = match setup.learns {
+            true => self.receiver.independent_share(spacing_s),
+            false => (spacing_s / options.independence_s).min(1.0),
+        };
+        if options.zero_velocity && self.standstill.observe(&factors.rates, interval_s) {
+            factors.standstill = interval_s.map(ZeroVelocityFactor::new);
+            // At rest multipath repeats: scale the weight by Δt/τ, with τ its correlation time.
+            share = share.min(spacing_s / options.correlation_s);
+        }
         regularize(factors, interval_s.is_none(), &guess, options);
         factors.vertical = setup.learns.then(|| self.receiver.vertical_prior(spacing_s));
         if options.phase {
@@ -255,43 +262,15 @@ impl Chain {
         self.sequence += 1;
     }
 
-    /// Begins the factors of an epoch; returns the time since the previous epoch (s).
-    fn open_epoch(
-        &mut self,
-        time: GpsTime,
-        measurements: &Measurements,
-        factors: &mut Factors,
-    ) -> Option<f64> {
+    /// Empties the factors and begins those of the next epoch. The border gets a variable for each
+    /// of its biases.
+    fn begin_factors(&mut self, measurements: &Measurements, factors: &mut Factors) {
         factors.clear();
         factors.slot = self.sequence % self.ring.max(1);
         factors.without_ephemeris.clone_from(&measurements.without_ephemeris);
         factors.ionosphere_fallback = measurements.ionosphere_fallback;
         let border = &mut self.estimate.border;
         border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
-        let interval_s = self.last_time().map(|last| time - last);
-        self.started = interval_s.map_or(time, |_| self.started);
-        interval_s
-    }
-
-    /// Independent fraction of the epoch's pseudorange information. Adds a standstill's factor.
-    fn independent_share(
-        &mut self,
-        interval_s: Option<f64>,
-        setup: &Setup,
-        scratch: &mut ChainScratch,
-    ) -> f64 {
-        let (options, factors) = (&setup.options.graph, &mut scratch.factors);
-        let spacing_s = interval_s.unwrap_or(options.independence_s);
-        let share = match setup.learns {
-            true => self.receiver.independent_share(spacing_s),
-            false => (spacing_s / options.independence_s).min(1.0),
-        };
-        if !options.zero_velocity || !self.standstill.observe(&factors.rates, interval_s) {
-            return share;
-        }
-        factors.standstill = interval_s.map(ZeroVelocityFactor::new);
-        // At rest multipath repeats: scale the weight by Δt/τ, with τ its correlation time.
-        (spacing_s / options.correlation_s).min(share)
     }
 
     /// Adds the factor of the odometry's displacement, if the displacement covers the interval.
@@ -308,7 +287,7 @@ impl Chain {
     }
 
     /// Adds the Doppler factors of the measurements that are used.
-    fn add_rates(
+    fn add_dopplers(
         &self,
         receiver: Ecef,
         list: &[Measurement],
@@ -320,13 +299,18 @@ impl Chain {
         }
         let is_new = |m: &Measurement| !setup.learns || !self.receiver.repeats_rate(m);
         let scale = if setup.learns { self.receiver.doppler_scale() } else { 1.0 };
-        let list = sighted(list).filter(|(_, m)| is_new(m));
+        let list = above_mask(list).filter(|(_, m)| is_new(m));
         let rates = rates(list, &self.frame, receiver, setup.options.doppler_sigma_m_s);
         scratch.factors.rates.extend(rates.map(|rate| rate.scaled(scale)));
     }
 
     /// Adds the pseudorange factors of the measurements that are used.
-    fn range(&mut self, measurements: &Measurements, setup: &Setup, scratch: &mut ChainScratch) {
+    fn add_pseudoranges(
+        &mut self,
+        measurements: &Measurements,
+        setup: &Setup,
+        scratch: &mut ChainScratch,
+    ) {
         let (list, factors) = (&measurements.list, &mut scratch.factors);
         scratch.signals.clear();
         let present = |c: Constellation| {
@@ -339,15 +323,15 @@ impl Chain {
         };
         let first = Constellation::COUNT * factors.slot;
         let common_m = common_ionosphere_m(list);
-        for (sight, measurement) in sighted(list).filter(|(_, m)| !m.is_excluded) {
+        for (sight, measurement) in above_mask(list).filter(|(_, m)| !m.is_excluded) {
             let constellation = measurement.satellite.constellation;
             let further = Some(constellation) != reference;
             let bias = further.then_some((first + constellation.index()) as u32);
             let mut range = Ranging::new(sight, measurement, bias);
             if setup.learns {
                 let signal = Signal::of(measurement, common_m);
-                let error = self.receiver.code_error(constellation, &signal);
-                range.follow(error, receiver::error_before_learning(&signal));
+                let error = self.receiver.pseudorange_error(constellation, &signal);
+                range.set_error_model(error, receiver::error_before_learning(&signal));
                 scratch.signals.push(signal);
             }
             factors.ranges.push(range);
@@ -359,39 +343,40 @@ impl Chain {
 
     /// Sets the clock of `guess` and the biases that begin; returns the measured minus the
     /// predicted clock (m), if it is measured. A late reference makes all clocks its own.
-    fn settle_clock(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
+    fn start_clocks(&mut self, guess: &mut State, scratch: &mut ChainScratch) -> Option<f64> {
         let ChainScratch { factors, numbers, lines, .. } = scratch;
         factors.see(guess, lines);
         let Factors { ranges, biases, .. } = factors;
         let begins = |variable, mean_m| {
-            biases.push(BiasFactor { variable, mean_m, inverse_sigma: BIAS_M.recip() });
+            biases.push(BiasFactor { variable, mean_m, inverse_sigma: START_BIAS_M.recip() });
         };
-        let seen = SeenRanges { ranges, lines, state: guess };
+        let seen = RangesAt { ranges, lines, state: guess };
         let biases_m = &mut self.estimate.border;
         let ClockChange { clock_m, reference_m } =
-            seen.settle_clock(biases_m, &mut self.begun, numbers, begins);
+            seen.start_clocks(biases_m, &mut self.begun, numbers, begins);
         self.estimate.states.iter_mut().for_each(|state| state[CLOCK] += reference_m);
         guess[CLOCK] += clock_m.unwrap_or(0.0) + reference_m;
         clock_m
     }
 
     /// The tie to the previous epoch.
-    fn tie(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> Tie {
+    fn tie(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> EpochLink {
         if setup.options.graph.motion {
             let jump_m = jump_m(clock_m.unwrap_or(0.0), interval_s);
             let motion = MotionFactor::new(&setup.motion, interval_s);
             let mut clock = ClockFactor::new(&setup.clock, interval_s, jump_m);
             if setup.learns {
-                clock = clock.with_tie(self.receiver.code_against_doppler(interval_s));
+                clock =
+                    clock.with_step_prior(self.receiver.pseudorange_against_doppler(interval_s));
             }
-            return Tie::Motion(motion, clock);
+            return EpochLink::Motion(motion, clock);
         }
         let velocity = self.epochs.last().and_then(|before| before.factors.doppler_velocity_m_s);
         let sigma_m_s = match velocity {
             Some(_) => setup.options.graph.doppler_velocity_sigma_m_s,
             None => UNKNOWN_SPEED_M_S,
         };
-        Tie::DopplerVelocity(DopplerVelocityFactor {
+        EpochLink::DopplerVelocity(DopplerVelocityFactor {
             velocity_m_s: velocity.unwrap_or_else(Vector3::zeros),
             interval_s,
             inverse_sigma: sigma_m_s.recip(),
@@ -399,7 +384,7 @@ impl Chain {
     }
 
     /// Updates the sums of each epoch's residuals at the estimate.
-    pub(super) fn weigh_residuals(&mut self, settings: &GraphSettings, scratch: &mut ChainScratch) {
+    pub(super) fn sum_residuals(&mut self, settings: &GraphSettings, scratch: &mut ChainScratch) {
         let (kernel, lines) = (settings.kernels.last().pseudorange, &mut scratch.lines);
         let Estimate { states, border } = &self.estimate;
         for (epoch, state) in self.epochs.iter_mut().zip(states) {
@@ -431,7 +416,7 @@ impl Chain {
         let Self { epochs, prior, estimate, .. } = self;
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen: &mut scratch.seen };
         let summary = optimize(&mut rows, estimate, how, workspace)?;
-        self.weigh_residuals(settings, scratch);
+        self.sum_residuals(settings, scratch);
         Ok(summary.cost)
     }
 
@@ -446,7 +431,7 @@ impl Chain {
         let Self { epochs, prior, estimate, .. } = self;
         system.reset(estimate.states.len(), estimate.border.len());
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, seen: &mut scratch.seen };
-        rows.linearize(estimate, Phase::Graduated(1.0), system);
+        rows.linearize(estimate, Widening::Final(1.0), system);
         elimination.factor(system, 0.0)
     }
 

@@ -19,10 +19,10 @@ use crate::positioning::rivals::{
     Knowledge, Offset, Pooled, Rivalry, SPACING_S, Scope, Verdict, rivalry,
 };
 use crate::positioning::setup::GraphSettings;
-use crate::positioning::starts::{START_CLOCK_M, START_M_S, are_refuting};
+use crate::positioning::starts::{START_BIAS_M, START_CLOCK_M, START_M_S, are_refuting};
 
-use super::chain::{BIAS_M, Chain, ChainScratch};
-use super::epoch::{Miss, Source};
+use super::chain::{Chain, ChainScratch};
+use super::epoch::{Excess, Source};
 
 /// Standard deviation of the first position's prior after a move (m).
 const MOVED_M: f64 = 30.0;
@@ -47,13 +47,13 @@ impl Chain {
         }
         self.estimate = first;
         self.factor(settings, scratch, workspace)?;
-        self.weigh_residuals(settings, scratch);
+        self.sum_residuals(settings, scratch);
         Ok(())
     }
 
     /// Whether the accepted pseudoranges of the newest epoch do not determine its position.
-    pub(super) fn is_lost(&self) -> bool {
-        self.epochs.last().is_some_and(|newest| newest.residuals.is_lost())
+    pub(super) fn lacks_redundancy(&self) -> bool {
+        self.epochs.last().is_some_and(|newest| newest.residuals.lacks_redundancy())
     }
 
     /// Whether the newest epoch's pseudoranges refute its position, so that another one must be
@@ -61,14 +61,14 @@ impl Chain {
     pub(super) fn is_refuted(&self, scratch: &mut ChainScratch) -> bool {
         let Estimate { states, border } = &self.estimate;
         let (Some(newest), Some(state)) = (self.epochs.last(), states.last()) else { return false };
-        if !self.is_lost() {
+        if !self.lacks_redundancy() {
             return false;
         }
         let ChainScratch { lines, numbers, .. } = scratch;
         newest.factors.see(state, lines);
         numbers.clear();
         let ranges = &newest.factors.ranges;
-        numbers.extend(ranges.iter().map(|range| range.miss_m(lines, state, border)));
+        numbers.extend(ranges.iter().map(|range| range.excess_m(lines, state, border)));
         are_refuting(numbers)
     }
 
@@ -103,7 +103,8 @@ impl Chain {
             [.., before, _] => Some(now - before.time),
             _ => None,
         };
-        if !self.watch.is_due(now, interval_s) {
+        self.watch.record_epoch(now, interval_s);
+        if !self.watch.is_due(now) {
             return false;
         }
         let window = self.pooled(self.watch.unpooled_s(now), scratch);
@@ -119,12 +120,12 @@ impl Chain {
     /// The median residual of each satellite over the last `span_s`, of epochs at least
     /// [`SPACING_S`] apart. These may have left the window.
     pub(super) fn pooled(&self, span_s: f64, scratch: &mut ChainScratch) -> Vec<Pooled> {
-        let ChainScratch { lines, misses, .. } = scratch;
+        let ChainScratch { lines, excesses, .. } = scratch;
         let Some(now) = self.last_time() else { return Vec::new() };
         let Estimate { states, border } = &self.estimate;
         let (mut independent, mut later) = (0.0, None);
         let is_recent = |time: GpsTime| now - time <= span_s;
-        misses.clear();
+        excesses.clear();
         let window = self.epochs.iter().zip(states).enumerate().rev();
         for (k, (epoch, state)) in window.take_while(|(_, (epoch, _))| is_recent(epoch.time)) {
             independent += epoch.share;
@@ -133,45 +134,45 @@ impl Chain {
             }
             later = Some(epoch.time);
             epoch.factors.see(state, lines);
-            misses.extend(epoch.factors.ranges.iter().enumerate().map(|(index, range)| Miss {
+            excesses.extend(epoch.factors.ranges.iter().enumerate().map(|(index, range)| Excess {
                 satellite: range.satellite,
-                residual_m: range.miss_m(lines, state, border),
+                excess_m: range.excess_m(lines, state, border),
                 source: Source::Window(k, index),
             }));
         }
         let departed = self.watch.departed();
         for (k, epoch) in departed.iter().enumerate().filter(|(_, epoch)| is_recent(epoch.time)) {
             independent += epoch.share;
-            misses.extend(epoch.residuals.iter().enumerate().map(|(index, pooled)| Miss {
+            excesses.extend(epoch.residuals.iter().enumerate().map(|(index, pooled)| Excess {
                 satellite: pooled.satellite,
-                residual_m: pooled.residual_m,
+                excess_m: pooled.excess_m,
                 source: Source::Departed(k, index),
             }));
         }
-        misses.sort_unstable_by(|a, b| {
-            a.satellite.cmp(&b.satellite).then(a.residual_m.total_cmp(&b.residual_m))
+        excesses.sort_unstable_by(|a, b| {
+            a.satellite.cmp(&b.satellite).then(a.excess_m.total_cmp(&b.excess_m))
         });
         let independent = f64::min(independent, 1.0);
-        let middle = |of_satellite: &[Miss]| {
-            let Miss { residual_m, source, .. } = of_satellite[of_satellite.len() / 2];
+        let middle = |of_satellite: &[Excess]| {
+            let Excess { excess_m, source, .. } = of_satellite[of_satellite.len() / 2];
             let pooled = match source {
-                Source::Window(k, index) => self.residual(k, index, residual_m)?,
+                Source::Window(k, index) => self.residual(k, index, excess_m)?,
                 Source::Departed(k, index) => departed[k].residuals[index],
             };
             Some(Pooled { independent, ..pooled })
         };
-        misses.chunk_by(|a, b| a.satellite == b.satellite).filter_map(middle).collect()
+        excesses.chunk_by(|a, b| a.satellite == b.satellite).filter_map(middle).collect()
     }
 
     /// The residual of pseudorange `index` of epoch `k` with its error model, if one is set.
-    fn residual(&self, k: usize, index: usize, residual_m: f64) -> Option<Pooled> {
+    fn residual(&self, k: usize, index: usize, excess_m: f64) -> Option<Pooled> {
         let factors = &self.epochs[k].factors;
         let range = &factors.ranges[index];
         let (error, before_learning) = (range.error()?, range.reflection?.before_learning);
         let at = position(&self.estimate.states[k]);
         let (_, slope) = factors.sights[usize::from(range.sight)].range(&at);
         let (satellite, independent) = (range.satellite, self.epochs[k].share);
-        Some(Pooled { satellite, slope, residual_m, error, before_learning, independent })
+        Some(Pooled { satellite, slope, excess_m, error, before_learning, independent })
     }
 
     /// Hands the residuals of the oldest epoch, which leaves the window, to the search for other
@@ -184,7 +185,7 @@ impl Chain {
             oldest.factors.see(state, lines);
             let ranges = oldest.factors.ranges.iter().enumerate();
             let residual = |(index, range): (usize, &Ranging)| {
-                self.residual(0, index, range.miss_m(lines, state, border))
+                self.residual(0, index, range.excess_m(lines, state, border))
             };
             ranges.filter_map(residual).collect()
         });
@@ -205,7 +206,7 @@ impl Chain {
         }
         self.watch.follow(offset);
         if offset.is_before_learning() {
-            self.receiver.forget_code();
+            self.receiver.forget_pseudorange_noise();
         }
         self.prior = Prior::none();
         let Some((first, later)) = self.epochs.split_first_mut() else { return };
@@ -224,7 +225,7 @@ impl Chain {
         for constellation in Constellation::ALL.into_iter().skip(1) {
             let variable = constellation.index();
             if self.begun[variable] {
-                let (mean_m, inverse_sigma) = (border[variable], BIAS_M.recip());
+                let (mean_m, inverse_sigma) = (border[variable], START_BIAS_M.recip());
                 factors.biases.push(BiasFactor { variable, mean_m, inverse_sigma });
             }
         }

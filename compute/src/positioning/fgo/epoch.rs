@@ -6,14 +6,14 @@ use nalgebra::Vector3;
 
 use crate::gnss::{GpsTime, Reason, SatelliteId};
 use crate::graph::HUBER_WIDTH;
-use crate::graph::{Estimate, Kernel, Link, LinkSum, Phase, Prior, Problem, RowSum, System};
+use crate::graph::median;
+use crate::graph::{Estimate, Kernel, Link, LinkSum, Prior, Problem, RowSum, System, Widening};
 use crate::positioning::factors::{
-    BiasFactor, ClockFactor, ClockTie, ComponentFactor, DopplerFactor, DopplerVelocityFactor, Line,
-    MotionFactor, OdometryFactor, POSITION_AND_CLOCK, PhaseDifferenceFactor, STATE, Sight, State,
-    VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
+    BiasFactor, ClockFactor, ClockStepPrior, ComponentFactor, DopplerFactor, DopplerVelocityFactor,
+    Line, MotionFactor, OdometryFactor, POSITION_AND_CLOCK, PhaseDifferenceFactor, STATE, Sight,
+    State, VELOCITY_AND_DRIFT, ZeroVelocityFactor, position,
 };
 use crate::positioning::measurements::aiding_reasons;
-use crate::positioning::median::median;
 use crate::positioning::ranging::{RangeLosses, Ranging};
 use crate::positioning::receiver::VerticalPrior;
 use crate::positioning::setup::{AnnealedKernels, Kernels, student};
@@ -35,7 +35,7 @@ const CLOCK_TOLERANCE: f64 = 1e-3;
 
 /// What links an epoch to the previous one, besides carrier phase.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Tie {
+pub(super) enum EpochLink {
     /// Position and clock by velocity and drift.
     Motion(MotionFactor, ClockFactor),
     /// Position by the velocity solved from the previous epoch's Doppler.
@@ -44,10 +44,10 @@ pub(super) enum Tie {
 
 /// The residual of a pseudorange of the last ten seconds.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Miss {
+pub(super) struct Excess {
     pub(super) satellite: SatelliteId,
     /// Measured minus predicted (m).
-    pub(super) residual_m: f64,
+    pub(super) excess_m: f64,
     pub(super) source: Source,
 }
 
@@ -135,7 +135,7 @@ impl GraphEpoch {
                 true => seen.phase_weights[usize::from(rate.sight)],
                 false => 1.0,
             };
-            let weight = system.weigh(row.residual, &kernels.doppler.tempered(direct));
+            let weight = system.weigh(row.residual, &kernels.doppler.scaled(direct));
             sum.add(row.residual, &row.jacobian, weight);
         }
         system.add_sum(k, &VELOCITY_AND_DRIFT, &sum);
@@ -160,9 +160,9 @@ pub(super) struct Factors {
     /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
     /// Tie between the clocks of carrier phase and of pseudoranges; `None` if both are the same.
-    pub(super) phase_clock: Option<ClockTie>,
+    pub(super) phase_clock: Option<ClockStepPrior>,
     /// From the previous epoch to this one; `None` for the first of a chain.
-    pub(super) tie: Option<Tie>,
+    pub(super) tie: Option<EpochLink>,
     /// From the previous epoch to this one: one or none, in a list because most epochs have none.
     pub(super) odometry: Vec<OdometryFactor>,
     /// Present if the receiver has been at rest since the previous epoch.
@@ -231,7 +231,7 @@ impl Factors {
 
     /// Whether the velocity of its state is estimated.
     pub(super) fn carries_velocity(&self) -> bool {
-        !matches!(self.tie, Some(Tie::DopplerVelocity(_)))
+        !matches!(self.tie, Some(EpochLink::DopplerVelocity(_)))
     }
 
     /// Lines of sight to its satellites from the position of `state`.
@@ -293,8 +293,8 @@ impl Factors {
         }
         match &self.tie {
             None => {}
-            Some(Tie::DopplerVelocity(factor)) => factor.add_to(k, estimate, system),
-            Some(Tie::Motion(motion, clock)) => {
+            Some(EpochLink::DopplerVelocity(factor)) => factor.add_to(k, estimate, system),
+            Some(EpochLink::Motion(motion, clock)) => {
                 motion.add_to(k, estimate, system);
                 let kernel = if self.phase_clock.is_some() { student() } else { Kernel::QUADRATIC };
                 system.add_link(k, &clock.clock_row(state, next), &kernel);
@@ -340,7 +340,7 @@ impl Factors {
         let mut sum = LinkSum::ZERO;
         for SeenPhase { link, inverse_sigma, direct } in phases {
             link.residual += step_m * *inverse_sigma;
-            let kernel = kernels.phase.tempered(*direct);
+            let kernel = kernels.phase.scaled(*direct);
             sum.add(link, system.weigh(link.residual, &kernel));
         }
         if let (Some(tie), Some((_, information))) = (self.phase_clock, step) {
@@ -372,7 +372,12 @@ impl Factors {
 
 /// The likeliest step of the phase clock against the pseudorange clock (m), and the information of
 /// its tie at this step (1/m²). The iteration starts at `start_m`.
-fn clock_step(tie: ClockTie, start_m: f64, phases: &[SeenPhase], kernel: &Kernel) -> (f64, f64) {
+fn clock_step(
+    tie: ClockStepPrior,
+    start_m: f64,
+    phases: &[SeenPhase],
+    kernel: &Kernel,
+) -> (f64, f64) {
     let prior = tie.scale_m2.recip();
     let (mut step_m, mut information) = (start_m, prior);
     for _ in 0..CLOCK_ITERATIONS {
@@ -380,7 +385,7 @@ fn clock_step(tie: ClockTie, start_m: f64, phases: &[SeenPhase], kernel: &Kernel
         information = prior / (1.0 + off_m * off_m * prior / 3.0);
         let (mut weight, mut pull) = (information, -information * tie.mean_m);
         for SeenPhase { link: Link { residual, .. }, inverse_sigma, direct } in phases {
-            let trust = kernel.tempered(*direct).weight(residual + inverse_sigma * step_m);
+            let trust = kernel.scaled(*direct).weight(residual + inverse_sigma * step_m);
             weight += trust * inverse_sigma * inverse_sigma;
             pull += trust * inverse_sigma * residual;
         }
@@ -392,7 +397,7 @@ fn clock_step(tie: ClockTie, start_m: f64, phases: &[SeenPhase], kernel: &Kernel
     (step_m, information)
 }
 
-impl Snapshot for Tie {
+impl Snapshot for EpochLink {
     fn save(&self, writer: &mut SnapshotWriter) {
         match self {
             Self::Motion(motion, clock) => {
@@ -459,8 +464,13 @@ impl Rows<'_> {
 }
 
 impl Problem<STATE> for Rows<'_> {
-    fn linearize(&mut self, estimate: &Estimate<STATE>, phase: Phase, system: &mut System<STATE>) {
-        let kernels = self.kernels.at(phase);
+    fn linearize(
+        &mut self,
+        estimate: &Estimate<STATE>,
+        widening: Widening,
+        system: &mut System<STATE>,
+    ) {
+        let kernels = self.kernels.at(widening);
         let [before, seen] = &mut *self.seen;
         self.prior.add_to(0, estimate, system);
         for (k, epoch) in self.epochs.iter().enumerate() {

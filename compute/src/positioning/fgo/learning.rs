@@ -4,7 +4,7 @@ use nalgebra::SMatrix;
 
 use crate::graph::Estimate;
 use crate::positioning::factors::STATE;
-use crate::positioning::receiver::{CodeResidual, PostFit};
+use crate::positioning::receiver::{PostFit, PseudorangeExcess};
 
 use super::chain::{Chain, ChainScratch};
 
@@ -20,11 +20,11 @@ impl Chain {
         let ([.., newest], [.., state]) = (&*self.epochs, &**states) else { return };
         let factors = &newest.factors;
         factors.see(state, lines);
-        let code = factors.ranges.iter().zip(&*signals).map(|(range, signal)| CodeResidual {
+        let code = factors.ranges.iter().zip(&*signals).map(|(range, signal)| PseudorangeExcess {
             satellite: range.satellite,
             signal: *signal,
             sigma_m: range.factor.inverse_sigma.recip(),
-            residual_m: range.miss_m(lines, state, border),
+            excess_m: range.excess_m(lines, state, border),
         });
         let code: Vec<_> = code.collect();
         let doppler: Vec<_> = factors.rates.iter().map(|r| r.linearize(state).residual).collect();

@@ -221,7 +221,7 @@ impl SlidingWindow {
         self.chain.clear();
         let alone = scratch.single_point.solve(inputs, None);
         let started = self.start(&alone, inputs, scratch);
-        started.unwrap_or_else(|| self.unanswered(alone, revisions))
+        started.unwrap_or_else(|| self.answer_by_single_point(alone, revisions))
     }
 
     /// Begins a chain with an epoch whose single-point solution is `alone`, and answers it.
@@ -256,7 +256,11 @@ impl SlidingWindow {
     }
 
     /// The single-point solution as the answer of an epoch outside the chain, also as its revision.
-    fn unanswered(&self, mut alone: Solution, revisions: &mut Vec<Solution>) -> Solution {
+    fn answer_by_single_point(
+        &self,
+        mut alone: Solution,
+        revisions: &mut Vec<Solution>,
+    ) -> Solution {
         if alone.estimate.is_some() {
             alone.reasons.push(Reason::NotConverged);
         }
@@ -357,7 +361,7 @@ impl SlidingWindow {
         let is_near = chain.has_past() && chain_scratch.is_start_precise;
         let how = if is_near { &settings.update } else { &settings.whole };
         let cost = chain.solve(settings, how, chain_scratch, workspace).ok()?;
-        if setup.learns && chain.is_lost() {
+        if setup.learns && chain.lacks_redundancy() {
             chain.retry(cost, settings, chain_scratch, workspace).ok()?;
         }
         if setup.learns && chain.reconsider(chain_scratch) {

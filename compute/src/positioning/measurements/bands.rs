@@ -4,11 +4,11 @@
 //! nanoseconds, but in a Pixel 4 pseudoranges of L5 are 2.1 to 2.4 km shorter than those of L1. A
 //! satellite that is received on L5 alone does not show this; satellites received on both bands do.
 //! The ionosphere changes the difference by less than 100 m, and multipath by W = 440 m at the most
-//! (`code_error`), so a median above W is a delay of the receiver.
+//! (`pseudorange_error`), so a median above W is a delay of the receiver.
 
 use crate::gnss::{Band, Constellation, Epoch, Observation, Signal};
-use crate::positioning::code_error::WILD_M;
-use crate::positioning::median::median;
+use crate::graph::median;
+use crate::positioning::pseudorange_error::WILD_M;
 use crate::snapshot::snapshot_fields;
 
 use super::PSEUDORANGES_M;

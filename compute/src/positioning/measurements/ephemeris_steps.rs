@@ -98,8 +98,8 @@ mod tests {
         measurements.follow_ephemerides(before, receiver, epoch.time, &second);
         let of = |m: &Measurement| {
             let phase = m.phase.filter(|phase| !phase.loss_of_lock)?;
-            let miss_m = geometric_range(m.state.position, receiver).0 - phase.range_m;
-            Some((miss_m, phase.ephemeris_step_m))
+            let residual_m = geometric_range(m.state.position, receiver).0 - phase.range_m;
+            Some((residual_m, phase.ephemeris_step_m))
         };
         measurements.list.iter().map(|m| (m.satellite, of(m))).collect()
     }

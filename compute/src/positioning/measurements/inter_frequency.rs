@@ -1,8 +1,8 @@
 //! The receiver's delays between the frequencies of a satellite.
 
 use crate::gnss::{Constellation, ObservationCode};
-use crate::positioning::code_error::WILD_M;
-use crate::positioning::median::median;
+use crate::graph::median;
+use crate::positioning::pseudorange_error::WILD_M;
 
 use super::{Measurement, SecondFrequency};
 

@@ -1,10 +1,10 @@
-//! Estimates how closely code, phase and Doppler of a receiver follow one clock.
+//! Estimates how closely pseudorange, phase and Doppler of a receiver follow one clock.
 //!
 //! Geodetic receivers derive all three from one oscillator and one time tag. Phones steer and round
-//! the time tag by up to hundreds of metres each second. The code follows the time tag; Doppler,
-//! and on some chips phase, follows the free oscillator. The change of code minus that of phase, or
-//! minus the integral of Doppler, is free of geometry. Its median over the satellites is the step
-//! of one clock against the other, with the noise of a median, 1.2533·σ/√n.
+//! the time tag by up to hundreds of metres each second. The pseudorange follows the time tag;
+//! Doppler, and on some chips phase, follows the free oscillator. The change of the pseudorange
+//! minus that of phase, or minus the integral of Doppler, is free of geometry. Its median over the
+//! satellites is the step of one clock against the other, with the noise of a median, 1.2533·σ/√n.
 //!
 //! Steps are modelled as a steady drift plus Student's t of three degrees of freedom. The scale of
 //! t has a flat prior on a grid of octaves from 0.1 m/√s to 205 m/√s. The estimate is conservative:
@@ -12,10 +12,10 @@
 //! confirm it, and without data they are free.
 
 use crate::gnss::{ObservationCode, SatelliteId};
+use crate::graph::median;
 use crate::positioning::Measurement;
 use crate::positioning::clock_jump::whole_milliseconds_m;
-use crate::positioning::factors::ClockTie;
-use crate::positioning::median::median;
+use crate::positioning::factors::ClockStepPrior;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::grid::Grid;
@@ -56,10 +56,13 @@ fn flat(_: f64) -> f64 {
 }
 
 impl Steps {
-    fn tie(&self, interval_s: f64) -> ClockTie {
+    fn tie(&self, interval_s: f64) -> ClockStepPrior {
         let (mean, deviation) = self.octave.moments();
         let scale_m = FIRST_M * (mean + PLAUSIBLE * deviation).exp2();
-        ClockTie { mean_m: self.drift_m_s * interval_s, scale_m2: scale_m * scale_m * interval_s }
+        ClockStepPrior {
+            mean_m: self.drift_m_s * interval_s,
+            scale_m2: scale_m * scale_m * interval_s,
+        }
     }
 
     /// Updates with the changes of one observable minus another, one for each satellite (m).
@@ -118,11 +121,11 @@ impl Kept {
 #[derive(Debug, Default)]
 pub(super) struct ClockCoupling {
     last: Vec<Kept>,
-    code_minus_phase: Steps,
-    code_minus_doppler: Steps,
+    pseudorange_minus_phase: Steps,
+    pseudorange_minus_doppler: Steps,
 }
 
-state_fields!(ClockCoupling { last, code_minus_phase, code_minus_doppler });
+state_fields!(ClockCoupling { last, pseudorange_minus_phase, pseudorange_minus_doppler });
 
 impl ClockCoupling {
     /// Compares an epoch with the one before, `interval_s` earlier.
@@ -141,22 +144,23 @@ impl ClockCoupling {
                     doppler_m.push(change_m - 0.5 * interval_s * (now + then));
                 }
             }
-            self.code_minus_phase.learn(interval_s, &mut phase_m);
-            self.code_minus_doppler.learn(interval_s, &mut doppler_m);
+            self.pseudorange_minus_phase.learn(interval_s, &mut phase_m);
+            self.pseudorange_minus_doppler.learn(interval_s, &mut doppler_m);
         }
         self.last.clear();
         self.last.extend(list.iter().map(Kept::of));
     }
 
-    /// Tie of the code's clock to the integral of the Doppler's drift over `interval_s`.
-    pub(super) fn code_against_doppler(&self, interval_s: f64) -> ClockTie {
-        self.code_minus_doppler.tie(interval_s)
+    /// Prior of the step of the pseudoranges' clock against the integral of the Doppler's drift over
+    /// `interval_s`.
+    pub(super) fn pseudorange_against_doppler(&self, interval_s: f64) -> ClockStepPrior {
+        self.pseudorange_minus_doppler.tie(interval_s)
     }
 
-    /// Tie of the phase's clock to the code's over `interval_s`.
-    pub(super) fn phase_against_code(&self, interval_s: f64) -> ClockTie {
-        let tie = self.code_minus_phase.tie(interval_s);
-        ClockTie { mean_m: -tie.mean_m, ..tie }
+    /// Prior of the step of the phases' clock against the pseudoranges' over `interval_s`.
+    pub(super) fn phase_against_pseudorange(&self, interval_s: f64) -> ClockStepPrior {
+        let tie = self.pseudorange_minus_phase.tie(interval_s);
+        ClockStepPrior { mean_m: -tie.mean_m, ..tie }
     }
 }
 
@@ -187,7 +191,8 @@ mod tests {
         assert!(1e4 < steps.tie(1.0).scale_m2);
     }
 
-    /// A jump by whole milliseconds of the code alone is corrected elsewhere: it is not a drift.
+    /// A jump by whole milliseconds of the pseudoranges alone is corrected elsewhere: it is not a
+    /// drift.
     #[test]
     fn milliseconds_are_taken_off() {
         let mut steps = Steps::default();

@@ -14,8 +14,8 @@
 use crate::gnss::SatelliteId;
 use crate::snapshot::snapshot_fields;
 
-use super::code_noise::CodeResidual;
 use super::kept;
+use super::pseudorange_noise::PseudorangeExcess;
 
 /// Correlation time of multipath in a street (s).
 const CORRELATION_S: f64 = 5.0;
@@ -50,8 +50,8 @@ impl ErrorMemory {
     }
 
     /// Updates with the residuals of an epoch.
-    pub(super) fn learn(&mut self, interval_s: f64, residuals: &[CodeResidual]) {
-        let whitened = |r: &CodeResidual| (r.residual_m / r.sigma_m).clamp(-CUT_OFF, CUT_OFF);
+    pub(super) fn learn(&mut self, interval_s: f64, residuals: &[PseudorangeExcess]) {
+        let whitened = |r: &PseudorangeExcess| (r.excess_m / r.sigma_m).clamp(-CUT_OFF, CUT_OFF);
         let keep = kept(interval_s);
         self.products *= keep;
         self.squares *= keep;
@@ -81,12 +81,12 @@ mod tests {
     use super::super::Signal;
     use super::*;
 
-    fn residual(residual_m: f64) -> CodeResidual {
-        CodeResidual {
+    fn residual(excess_m: f64) -> PseudorangeExcess {
+        PseudorangeExcess {
             satellite: "G01".parse().unwrap(),
             signal: Signal { cn0_db_hz: None, elevation_rad: 1.0, model_m: 0.0 },
             sigma_m: 1.0,
-            residual_m,
+            excess_m,
         }
     }
 

@@ -1,25 +1,25 @@
 //! Noise and clocks of a receiver, estimated from its own data.
 //!
 //! Receivers differ by more than any table of defaults: in how they report C/N0, in the noise of
-//! Doppler and phase, in how long multipath lasts, and in whether code, phase and Doppler follow
-//! one clock. [`ReceiverModel`] starts from priors that cover all of them and narrows with the
-//! residuals of each epoch. Its evidence fades with a time constant of five minutes, so that it
+//! Doppler and phase, in how long multipath lasts, and in whether pseudorange, phase and Doppler
+//! follow one clock. [`ReceiverModel`] starts from priors that cover all of them and narrows with
+//! the residuals of each epoch. Its evidence fades with a time constant of five minutes, so that it
 //! follows a change of surroundings.
 //!
 //! | part | learns | from |
 //! |---|---|---|
-//! | [`CodeNoise`] | C/N0 at which half the signals are reflected | pseudorange residuals |
+//! | [`PseudorangeNoise`] | C/N0 at which half the signals are reflected | pseudorange residuals |
 //! | [`NoiseScale`] | factor on the stated noise of Doppler and of phase | their residuals |
 //! | [`ErrorMemory`] | how long pseudorange errors last | pseudorange residuals |
-//! | [`ClockCoupling`] | how clocks move apart | code minus phase, code minus Doppler |
+//! | [`ClockCoupling`] | how clocks move apart | pseudorange minus phase and minus Doppler |
 //! | [`VerticalSpeed`] | how fast the receiver climbs and sinks | the estimate itself |
 //! | [`RepeatedRates`] | Doppler values that repeat the last ones | Doppler |
 
 mod clock_coupling;
-mod code_noise;
 mod error_memory;
 mod grid;
 mod noise_scale;
+mod pseudorange_noise;
 mod repeated_rates;
 mod vertical_speed;
 
@@ -29,19 +29,20 @@ use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::state_fields;
 
 use super::Measurement;
-use super::code_error::CodeError;
-use super::factors::{ClockTie, STATE, State};
+use super::factors::{ClockStepPrior, STATE, State};
+use super::pseudorange_error::PseudorangeError;
 
 use clock_coupling::ClockCoupling;
-use code_noise::CodeNoise;
 use error_memory::ErrorMemory;
 use noise_scale::NoiseScale;
+use pseudorange_noise::PseudorangeNoise;
 use repeated_rates::RepeatedRates;
 pub(super) use vertical_speed::VerticalPrior;
 use vertical_speed::VerticalSpeed;
 
-pub(super) use code_noise::{
-    CodeResidual, Signal, common_ionosphere_m, error_before_learning, reflected_before_learning,
+pub(super) use pseudorange_noise::{
+    PseudorangeExcess, Signal, common_ionosphere_m, error_before_learning,
+    reflected_before_learning,
 };
 
 /// Time constant with which the evidence fades (s): streets change within some minutes.
@@ -62,7 +63,7 @@ fn kept(interval_s: f64) -> f64 {
 /// Estimated properties of one receiver.
 #[derive(Debug, Default)]
 pub(super) struct ReceiverModel {
-    code: CodeNoise,
+    code: PseudorangeNoise,
     doppler: NoiseScale,
     phase: NoiseScale,
     memory: ErrorMemory,
@@ -96,7 +97,7 @@ pub(super) struct PostFit<'a> {
     /// Its time.
     pub(super) time: GpsTime,
     /// Residuals of the pseudoranges.
-    pub(super) code: &'a [CodeResidual],
+    pub(super) code: &'a [PseudorangeExcess],
     /// Residuals of Doppler over the standard deviation in force.
     pub(super) doppler: &'a [f64],
     /// Residuals of phase differences over the standard deviation in force, without the clock's
@@ -138,13 +139,17 @@ impl ReceiverModel {
     }
 
     /// Error model of a pseudorange.
-    pub(super) fn code_error(&self, constellation: Constellation, signal: &Signal) -> CodeError {
+    pub(super) fn pseudorange_error(
+        &self,
+        constellation: Constellation,
+        signal: &Signal,
+    ) -> PseudorangeError {
         self.code.error(constellation, signal)
     }
 
     /// Forgets the noise of pseudoranges, which was learnt at a wrong position.
-    pub(super) fn forget_code(&mut self) {
-        self.code = CodeNoise::default();
+    pub(super) fn forget_pseudorange_noise(&mut self) {
+        self.code = PseudorangeNoise::default();
     }
 
     /// Independent share of a pseudorange's information, `spacing_s` after the last pseudorange of
@@ -163,14 +168,15 @@ impl ReceiverModel {
         self.phase.value()
     }
 
-    /// Tie of the code's clock to the integral of the Doppler's drift over `interval_s`.
-    pub(super) fn code_against_doppler(&self, interval_s: f64) -> ClockTie {
-        self.clocks.code_against_doppler(interval_s)
+    /// Prior of the step of the pseudoranges' clock against the integral of the Doppler's drift over
+    /// `interval_s`.
+    pub(super) fn pseudorange_against_doppler(&self, interval_s: f64) -> ClockStepPrior {
+        self.clocks.pseudorange_against_doppler(interval_s)
     }
 
-    /// Tie of the phase's clock to the code's over `interval_s`.
-    pub(super) fn phase_against_code(&self, interval_s: f64) -> ClockTie {
-        self.clocks.phase_against_code(interval_s)
+    /// Prior of the step of the phases' clock against the pseudoranges' over `interval_s`.
+    pub(super) fn phase_against_pseudorange(&self, interval_s: f64) -> ClockStepPrior {
+        self.clocks.phase_against_pseudorange(interval_s)
     }
 
     /// The prior of one epoch's vertical velocity, `spacing_s` after the last.

@@ -46,7 +46,7 @@ impl VerticalPrior {
         estimate: &Estimate<STATE>,
         system: &mut System<STATE>,
     ) {
-        let kernel = student().tempered(self.independent_share);
+        let kernel = student().scaled(self.independent_share);
         system.add(k, &self.velocity.linearize(&estimate.states[k]), &kernel);
     }
 

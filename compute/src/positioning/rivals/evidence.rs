@@ -6,7 +6,7 @@ use std::ops::Range;
 use nalgebra::{SMatrix, SVector, Vector3};
 
 use crate::gnss::{Constellation, SatelliteId};
-use crate::positioning::code_error::{CodeError, Likelihood};
+use crate::positioning::pseudorange_error::{Likelihood, PseudorangeError};
 use crate::snapshot::snapshot_fields;
 
 /// Position and a clock for each constellation.
@@ -25,7 +25,7 @@ const UNLEARNT_COST: f64 = 3.0;
 /// ½ Σ κ(1 − r)(Δs/σ)² above which two hypotheses are distinct (nats).
 const DISTINCT_NATS: f64 = 10.0;
 /// Scale of T (m).
-const SETTLED_M: f64 = 10.0;
+const PRIOR_SCALE_M: f64 = 10.0;
 /// Number of residuals whose densities are multiplied before the logarithm. No density is below
 /// 0.02/400 m, so their product is at least 10⁻⁵².
 const OF_ONE_LOGARITHM: usize = 12;
@@ -37,21 +37,21 @@ pub(crate) struct Pooled {
     /// g = ∂ρ/∂p, local east, north, up.
     pub(crate) slope: Vector3<f64>,
     /// s: median of measured − modelled (m).
-    pub(crate) residual_m: f64,
-    pub(crate) error: CodeError,
+    pub(crate) excess_m: f64,
+    pub(crate) error: PseudorangeError,
     /// Its error model before anything was learnt about the receiver.
-    pub(crate) before_learning: CodeError,
+    pub(crate) before_learning: PseudorangeError,
     /// κ: independent fraction of the information, the same for all residuals of a pool.
     pub(crate) independent: f64,
 }
 
-snapshot_fields!(Pooled { satellite, slope, residual_m, error, before_learning, independent });
+snapshot_fields!(Pooled { satellite, slope, excess_m, error, before_learning, independent });
 
 impl Pooled {
     /// The residual that is left after the offset `x` (m).
     pub(super) fn left_m(&self, x: &Unknowns) -> f64 {
         let along_m = self.slope.x * x[0] + self.slope.y * x[1] + self.slope.z * x[2];
-        self.residual_m - along_m - x[3 + self.satellite.constellation.index()]
+        self.excess_m - along_m - x[3 + self.satellite.constellation.index()]
     }
 }
 
@@ -70,6 +70,13 @@ pub(crate) struct Offset {
     x: Unknowns,
     cost: f64,
     noise: Noise,
+}
+
+/// The unknowns that a descent changes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Free {
+    Clocks,
+    PositionAndClocks,
 }
 
 /// The noise of pseudoranges in a hypothesis.
@@ -154,7 +161,7 @@ impl<'a> Evidence<'a> {
         (0..Constellation::COUNT).filter(|system| self.present[*system])
     }
 
-    pub(super) fn error(&self, pooled: &Pooled) -> CodeError {
+    pub(super) fn error(&self, pooled: &Pooled) -> PseudorangeError {
         error_by(self.noise, pooled)
     }
 
@@ -185,14 +192,14 @@ impl<'a> Evidence<'a> {
     /// The trajectory itself, with the clocks that fit it best.
     pub(super) fn trajectory(&self) -> Offset {
         let mut x = Unknowns::zeros();
-        self.descend(&mut x, false, |_| true);
+        self.descend(&mut x, Free::Clocks, |_| true);
         self.offset(x)
     }
 
     /// Minimises the cost from `offset` by expectation maximisation.
     pub(super) fn refine(&self, offset: &Offset) -> Offset {
         let mut x = offset.x;
-        self.descend(&mut x, true, |_| true);
+        self.descend(&mut x, Free::PositionAndClocks, |_| true);
         self.offset(x)
     }
 
@@ -203,7 +210,7 @@ impl<'a> Evidence<'a> {
         accepted: impl Fn(&Vector3<f64>) -> bool,
     ) -> Option<Offset> {
         let mut x = offset.x;
-        self.descend(&mut x, true, accepted).then(|| self.offset(x))
+        self.descend(&mut x, Free::PositionAndClocks, accepted).then(|| self.offset(x))
     }
 
     /// A lower bound of all costs: the cost of a position that leaves no residual.
@@ -245,8 +252,8 @@ impl<'a> Evidence<'a> {
         let Knowledge { bias_scale_m, settled } = self.knowledge;
         let common_m = self.common_clock_m(x);
         let biases = self.present().map(|i| student((x[3 + i] - common_m) / bias_scale_m));
-        let horizontal = student(x.fixed_rows::<2>(0).norm() / SETTLED_M);
-        biases.sum::<f64>() + settled * (horizontal + student(x[2] / SETTLED_M))
+        let horizontal = student(x.fixed_rows::<2>(0).norm() / PRIOR_SCALE_M);
+        biases.sum::<f64>() + settled * (horizontal + student(x[2] / PRIOR_SCALE_M))
     }
 
     /// The clock offset that inter-system biases refer to: the median of the constellations'.
@@ -259,16 +266,16 @@ impl<'a> Evidence<'a> {
         *clocks[..count.max(1)].select_nth_unstable_by(count / 2, f64::total_cmp).1
     }
 
-    /// Minimises the cost from `x` by expectation maximisation; unless `moves`, over the clocks
-    /// only. Ends early, with false, at a position that is not `accepted`.
+    /// Minimises the cost from `x` over the `free` unknowns by expectation maximisation. Ends early,
+    /// with false, at a position that is not `accepted`.
     fn descend(
         &self,
         x: &mut Unknowns,
-        moves: bool,
+        free: Free,
         accepted: impl Fn(&Vector3<f64>) -> bool,
     ) -> bool {
         for _ in 0..ITERATIONS_MAX {
-            let (normal, right) = self.normal_equations(x, moves);
+            let (normal, right) = self.normal_equations(x, free);
             let Some(factor) = normal.cholesky() else { break };
             let step = factor.solve(&right);
             let length_m = step.amax();
@@ -283,12 +290,14 @@ impl<'a> Evidence<'a> {
         true
     }
 
-    /// Lower triangle of the normal equations of a step from `x`, and their right side.
-    fn normal_equations(&self, x: &Unknowns, moves: bool) -> (Normal, Unknowns) {
-        // WEAK keeps unknowns that no residual determines where they are. HELD fixes the position
-        // if it does not move, and the clocks of absent constellations.
+    /// Lower triangle of the normal equations of a step of the `free` unknowns from `x`, and their
+    /// right side.
+    fn normal_equations(&self, x: &Unknowns, free: Free) -> (Normal, Unknowns) {
+        // WEAK keeps unknowns that no residual determines where they are. HELD fixes a position
+        // that is not free, and the clocks of absent constellations.
         const WEAK: f64 = 1e-9;
         const HELD: f64 = 1e12;
+        let moves = free == Free::PositionAndClocks;
         let (mut normal, mut right) = (Normal::zeros(), Unknowns::zeros());
         (0..3).for_each(|i| normal[(i, i)] = if moves { WEAK } else { HELD });
         (3..UNKNOWNS).for_each(|c| normal[(c, c)] = HELD);
@@ -327,7 +336,7 @@ fn student_weight(z: f64) -> f64 {
     4.0 / (3.0 + z * z)
 }
 
-fn error_by(noise: Noise, pooled: &Pooled) -> CodeError {
+fn error_by(noise: Noise, pooled: &Pooled) -> PseudorangeError {
     match noise {
         Noise::Learnt => pooled.error,
         Noise::BeforeLearning => pooled.before_learning,

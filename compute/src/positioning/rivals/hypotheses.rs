@@ -6,10 +6,10 @@
 //!
 //! Σ κ·J(s − gᵀd − c) + Σ T((c − c̄)/β) + a·[T(d_h/10 m) + T(d_v/10 m)]
 //!
-//! - J: negative log likelihood of [`CodeError`]; one term for each satellite and ten seconds. The
-//!   noise is either the learnt one, or the one before learning, which costs 3 more. The latter is
-//!   needed because from a wrong position direct signals look like reflections, and the noise that
-//!   was learnt there confirms that position.
+//! - J: negative log likelihood of [`PseudorangeError`]; one term for each satellite and ten
+//!   seconds. The noise is either the learnt one, or the one before learning, which costs 3 more.
+//!   The latter is needed because from a wrong position direct signals look like reflections, and
+//!   the noise that was learnt there confirms that position.
 //! - κ: independent fraction of these terms' information; smaller at rest, where multipath repeats.
 //! - T: −ln of Student's t density with three degrees of freedom. It penalises large offsets of the
 //!   inter-system biases, and those of a trajectory that has been accepted for a while (a → 1). Its
@@ -43,9 +43,10 @@ const SUBSETS_MAX: usize = 40;
 const DRAWS_MAX: usize = 60;
 /// Number of candidates that are refined.
 const REFINED: usize = 2;
-/// Distances up to which positions of subsets count as the same: horizontal, and vertical, where
-/// positions are half as precise (m).
-const APART_M: (f64, f64) = (8.0, 16.0);
+/// Horizontal distance up to which positions of subsets count as the same (m).
+const APART_HORIZONTAL_M: f64 = 8.0;
+/// The same vertically, where positions are half as precise (m).
+const APART_VERTICAL_M: f64 = 16.0;
 /// Keeps unknowns that no residual determines at zero (1/m²).
 const WEAK: f64 = 1e-10;
 /// Largest horizontal and largest vertical offset of a candidate (m).
@@ -53,7 +54,7 @@ const REACH_M: f64 = 1e3;
 
 /// Whether two positions at this distance count as different.
 fn are_apart(by_m: &Vector3<f64>) -> bool {
-    APART_M.0 < by_m.xy().norm() || APART_M.1 < by_m.z.abs()
+    APART_HORIZONTAL_M < by_m.xy().norm() || APART_VERTICAL_M < by_m.z.abs()
 }
 
 /// The hypotheses that a search considers besides the trajectory.
@@ -241,10 +242,10 @@ impl<'a> Search<'a> {
     fn with_one_clock(&self) -> Option<Unknowns> {
         let (mut normal, mut right) = (Matrix4::identity() * WEAK, Vector4::zeros());
         for index in &self.subset {
-            let Pooled { slope, residual_m, .. } = &self.evidence.pool()[*index];
+            let Pooled { slope, excess_m, .. } = &self.evidence.pool()[*index];
             let row = slope.push(1.0);
             normal += row * row.transpose();
-            right += row * *residual_m;
+            right += row * *excess_m;
         }
         let solved = normal.cholesky()?.solve(&right);
         let mut x = Unknowns::repeat(solved.w);
@@ -257,16 +258,16 @@ impl<'a> Search<'a> {
         let (mut normal, mut right) = (Normal::identity() * WEAK, Unknowns::zeros());
         let mut drawn = [false; Constellation::COUNT];
         for index in &self.subset {
-            let Pooled { satellite, slope, residual_m, .. } = &self.evidence.pool()[*index];
+            let Pooled { satellite, slope, excess_m, .. } = &self.evidence.pool()[*index];
             let clock = 3 + satellite.constellation.index();
             drawn[clock - 3] = true;
             for i in 0..3 {
-                right[i] += slope[i] * residual_m;
+                right[i] += slope[i] * excess_m;
                 normal[(clock, i)] += slope[i];
                 (0..=i).for_each(|j| normal[(i, j)] += slope[i] * slope[j]);
             }
             normal[(clock, clock)] += 1.0;
-            right[clock] += residual_m;
+            right[clock] += excess_m;
         }
         Some((normal.cholesky()?.solve(&right), drawn))
     }
@@ -298,9 +299,10 @@ fn keep_best(best: &mut Vec<Offset>, new: Offset) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::positioning::code_error::CodeError;
+    use crate::positioning::pseudorange_error::PseudorangeError;
 
-    const KNOWN_NOISE: CodeError = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
+    const KNOWN_NOISE: PseudorangeError =
+        PseudorangeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
     const KNOWN: Knowledge = Knowledge { bias_scale_m: 6.0, settled: 0.0 };
 
     /// Residuals of twelve satellites on a trajectory that is wrong by `off`. The pseudoranges of
@@ -320,7 +322,7 @@ mod tests {
             Pooled {
                 satellite: satellite.parse().unwrap(),
                 slope,
-                residual_m: -slope.dot(&off) + reflection_m + 0.3 * (index as f64).sin(),
+                excess_m: -slope.dot(&off) + reflection_m + 0.3 * (index as f64).sin(),
                 error: KNOWN_NOISE,
                 before_learning: KNOWN_NOISE,
                 independent: 1.0,
@@ -374,7 +376,7 @@ mod tests {
     #[test]
     fn noise_learnt_at_a_wrong_position_is_doubted() {
         let off = Vector3::new(3.0, -4.0, -40.0);
-        let learnt = CodeError { sigma_m: 12.0, reflected: 0.98, extra_path_m: 40.0 };
+        let learnt = PseudorangeError { sigma_m: 12.0, reflected: 0.98, extra_path_m: 40.0 };
         let with_prior = |before_learning| {
             let residual = |pooled| Pooled { error: learnt, before_learning, ..pooled };
             pool(off, &[]).into_iter().map(residual).collect::<Vec<_>>()
@@ -417,7 +419,7 @@ mod tests {
     fn near_positions_are_distinct_to_precise_pseudoranges() {
         let off = Vector3::new(3.0, 0.0, -4.0);
         let with_sigma = |sigma_m| {
-            let error = CodeError { sigma_m, ..KNOWN_NOISE };
+            let error = PseudorangeError { sigma_m, ..KNOWN_NOISE };
             let precise = |pooled| Pooled { error, before_learning: error, ..pooled };
             pool(off, &[]).into_iter().map(precise).collect::<Vec<_>>()
         };
@@ -437,7 +439,7 @@ mod tests {
     fn shift_galileo(pool: &mut [Pooled], by_m: f64) {
         let galileo =
             |pooled: &&mut Pooled| pooled.satellite.constellation == Constellation::Galileo;
-        pool.iter_mut().filter(galileo).for_each(|pooled| pooled.residual_m += by_m);
+        pool.iter_mut().filter(galileo).for_each(|pooled| pooled.excess_m += by_m);
     }
 
     fn galileo_minus_gps_m(offset: &Offset) -> f64 {

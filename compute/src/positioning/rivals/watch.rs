@@ -36,8 +36,10 @@ const SETTLING_S: f64 = 30.0;
 /// the correlation 1/e and there are three pools: 1/(1 + 2·(⅔·e⁻¹ + ⅓·e⁻²)) (Bartlett 1946).
 /// Multipath that is nearly constant in a pool does not end with it.
 const OF_ONE_POOL: f64 = 0.633;
-/// Log odds above which the window moves: at a start, and from a settled position (nats).
-const MOVE_LOG_ODDS: (f64, f64) = (1.0, 10.0);
+/// Log odds above which the window moves at a start (nats).
+const MOVE_LOG_ODDS_START: f64 = 1.0;
+/// Log odds above which the window moves from a settled position (nats).
+const MOVE_LOG_ODDS_SETTLED: f64 = 10.0;
 /// Scale of the errors of the inter-system biases of a settled window (m).
 const BIAS_SCALE_M: f64 = 6.0;
 /// Log odds against the likeliest rival that prove a position: 99 : 1 (nats).
@@ -88,14 +90,18 @@ pub(crate) struct Watch {
 state_fields!(Watch { departed, departing_share, earlier, pooled, searched, started, settled });
 
 impl Watch {
-    /// Records an epoch at `now`, `interval_s` after the previous one; returns whether a search is
-    /// due.
-    pub(crate) fn is_due(&mut self, now: GpsTime, interval_s: Option<f64>) -> bool {
+    /// Records an epoch at `now`, `interval_s` after the previous one. After an outage all earlier
+    /// residuals are forgotten.
+    pub(crate) fn record_epoch(&mut self, now: GpsTime, interval_s: Option<f64>) {
         if interval_s.is_none_or(|interval_s| OUTAGE_S < interval_s) {
             self.forget();
             (self.started, self.pooled, self.searched) = (Some(now), Some(now), None);
             self.settled = 0.0;
         }
+    }
+
+    /// Whether a search is due at `now`.
+    pub(crate) fn is_due(&self, now: GpsTime) -> bool {
         self.searched.is_none_or(|searched| SEARCH_S <= now - searched + 1e-3)
     }
 
@@ -169,10 +175,10 @@ impl Watch {
         pool.iter_mut().for_each(|pooled| pooled.independent *= OF_ONE_POOL);
         let settled = self.settled;
         let knowledge = Knowledge { bias_scale_m: self.bias_scale_m(now), settled };
-        let (at_start, when_settled) = MOVE_LOG_ODDS;
-        let threshold = at_start + (when_settled - at_start) * settled;
-        let is_doubted = settled < 1.0 || unproven_s.is_some();
-        let wanted = if is_doubted { -PROVEN_LOG_ODDS } else { threshold };
+        let threshold =
+            MOVE_LOG_ODDS_START + (MOVE_LOG_ODDS_SETTLED - MOVE_LOG_ODDS_START) * settled;
+        let needs_rival = settled < 1.0 || unproven_s.is_some();
+        let wanted = if needs_rival { -PROVEN_LOG_ODDS } else { threshold };
         match hypotheses::rivalry(&pool, knowledge, scope, wanted, now.as_ns() as u64) {
             Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
             Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
@@ -207,7 +213,7 @@ impl Watch {
         for pooled in self.earlier.iter_mut().chain(departed).flatten() {
             let constellation: Constellation = pooled.satellite.constellation;
             let along_m = pooled.slope.dot(&offset.position_m());
-            pooled.residual_m -= along_m + offset.clock_m(constellation);
+            pooled.excess_m -= along_m + offset.clock_m(constellation);
         }
     }
 }
@@ -217,14 +223,14 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::positioning::code_error::CodeError;
+    use crate::positioning::pseudorange_error::PseudorangeError;
 
-    fn pooled(residual_m: f64) -> Pooled {
-        let error = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
+    fn pooled(excess_m: f64) -> Pooled {
+        let error = PseudorangeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
         Pooled {
             satellite: "G01".parse().unwrap(),
             slope: Vector3::z(),
-            residual_m,
+            excess_m,
             error,
             before_learning: error,
             independent: 1.0,
@@ -236,16 +242,16 @@ mod tests {
     /// does not settle.
     #[test]
     fn a_position_settles_only_while_no_other_is_possible() {
-        let error = CodeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
+        let error = PseudorangeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };
         let off = Vector3::new(60.0, 0.0, 0.0);
         let pool = |is_ambiguous: bool| {
             let pooled = |index: u32| {
                 let (pair, is_of_other) = (f64::from(index / 2), index.is_multiple_of(2));
                 let east = if is_of_other { 0.6 } else { -0.6 };
                 let slope = Vector3::new(east, 0.7 * (2.4 * pair).cos(), -0.4 - 0.1 * pair);
-                let residual_m = if is_ambiguous && is_of_other { slope.dot(&off) } else { 0.0 };
+                let excess_m = if is_ambiguous && is_of_other { slope.dot(&off) } else { 0.0 };
                 let satellite = format!("G{:02}", index + 1).parse().unwrap();
-                Pooled { satellite, slope, residual_m, error, ..pooled(0.0) }
+                Pooled { satellite, slope, excess_m, error, ..pooled(0.0) }
             };
             (0..12).map(pooled).collect::<Vec<_>>()
         };
@@ -254,7 +260,8 @@ mod tests {
             for second in (0..90).step_by(2) {
                 let now = GpsTime::EPOCH + f64::from(second);
                 let interval_s = (second != 0).then_some(2.0);
-                assert!(watch.is_due(now, interval_s));
+                watch.record_epoch(now, interval_s);
+                assert!(watch.is_due(now));
                 watch.judge(now, &pool, None, Scope::Distinct);
             }
             watch.settled
@@ -268,12 +275,13 @@ mod tests {
     fn each_search_has_the_residuals_of_three_pools() {
         let mut watch = Watch::default();
         let now = |s: f64| GpsTime::EPOCH + s;
-        assert!(watch.is_due(now(0.0), None));
+        watch.record_epoch(now(0.0), None);
+        assert!(watch.is_due(now(0.0)));
         let mut seen = Vec::new();
         for search in 1..=16 {
             let time = now(2.0 * f64::from(search));
             let pool = watch.pool_with(time, &[pooled(f64::from(search))]);
-            seen.push(pool.iter().map(|pooled| pooled.residual_m).collect::<Vec<_>>());
+            seen.push(pool.iter().map(|pooled| pooled.excess_m).collect::<Vec<_>>());
         }
         assert_eq!(seen[3..6], [vec![4.0], vec![5.0], vec![6.0, 5.0]]);
         assert_eq!(

@@ -8,11 +8,11 @@ use crate::gnss::{
     BaseEpochIssue, Ecef, Enu, LocalFrame, Provenance, Reason, RelativeEstimate, Solution,
     SolutionEstimate, Status, Velocity,
 };
+use crate::graph::median;
 use crate::graph::shared_offset;
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::VELOCITY;
 use crate::positioning::geometry::{Geometry, UNDETERMINED};
-use crate::positioning::median::median;
 use crate::positioning::setup::OFFSET_KERNEL;
 
 use super::ambiguity::Resolution;

@@ -80,13 +80,13 @@ impl Default for MarkedEpoch {
 impl MarkedEpoch {
     /// `epoch`, with a loss of lock at all carriers in `lost`.
     pub(crate) fn of<'a>(&'a mut self, epoch: &'a Epoch, lost: &[Tracked]) -> &'a Epoch {
-        let is_lost = |o: &Observation| lost.contains(&(o.satellite, o.code));
-        if !epoch.observations.iter().any(|o| !o.loss_of_lock && is_lost(o)) {
+        let lacks_redundancy = |o: &Observation| lost.contains(&(o.satellite, o.code));
+        if !epoch.observations.iter().any(|o| !o.loss_of_lock && lacks_redundancy(o)) {
             return epoch;
         }
         self.0.clone_from(epoch);
         for observation in &mut self.0.observations {
-            observation.loss_of_lock |= is_lost(observation);
+            observation.loss_of_lock |= lacks_redundancy(observation);
         }
         &self.0
     }

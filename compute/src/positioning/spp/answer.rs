@@ -70,7 +70,7 @@ impl SinglePoint {
     fn dops(&self, frame: &LocalFrame) -> Option<Dops> {
         let mut alike = self.rows.clone();
         alike.iter_mut().for_each(|row| row.weight = 1.0);
-        if self.ties.is_some() {
+        if self.priors.is_some() {
             // One clock for all.
             let first = alike.first()?.constellation;
             alike.iter_mut().for_each(|row| row.constellation = first);

@@ -20,11 +20,11 @@
 use crate::gnss::{Constellation, Ecef, Reason};
 use crate::models::geometric_range;
 use crate::positioning::Measurement;
-use crate::positioning::code_error::WILD_M;
 use crate::positioning::draws::{Draws, subsets_needed};
+use crate::positioning::pseudorange_error::WILD_M;
 
 use super::exclusion::REDUNDANCY_MIN;
-use super::least_squares::{Row, Step, Tie};
+use super::least_squares::{ClockPrior, Row, Step};
 use super::{EpochInputs, STEPS_MAX, SinglePoint};
 
 /// λ (m): the width of a street.
@@ -46,21 +46,21 @@ const CHANGES_MAX: usize = 8;
 #[derive(Debug, Default)]
 pub(super) struct Search {
     /// The clocks of the epoch's constellations, if they are known from earlier epochs.
-    pub(super) known: Option<[Tie; Constellation::COUNT]>,
+    pub(super) known: Option<[ClockPrior; Constellation::COUNT]>,
     order: Vec<usize>,
     subset: Vec<Row>,
-    misses: Vec<Miss>,
+    excesses: Vec<Excess>,
 }
 
 /// Residual of a pseudorange against its range.
 #[derive(Clone, Copy, Debug)]
-struct Miss {
+struct Excess {
     /// Index of the measurement.
     index: usize,
     /// Index of its clock.
     clock: usize,
     /// Measured minus range and known bias (m).
-    miss_m: f64,
+    excess_m: f64,
     /// Tolerance against its clock, in addition to W (m).
     slack_m: f64,
 }
@@ -82,42 +82,45 @@ impl Search {
     /// Collects the residuals of `ranges` (measurement, measured minus range), sorted by clock and
     /// size.
     fn collect(&mut self, ranges: impl Iterator<Item = (usize, Constellation, f64)>) {
-        self.misses.clear();
-        for (index, constellation, miss_m) in ranges {
-            let tie = self.known.map(|known| known[constellation.index()]);
-            self.misses.push(Miss {
+        self.excesses.clear();
+        for (index, constellation, excess_m) in ranges {
+            let prior = self.known.map(|known| known[constellation.index()]);
+            self.excesses.push(Excess {
                 index,
                 clock: self.clock(constellation),
-                miss_m: miss_m - tie.map_or(0.0, |tie| tie.bias_m),
-                slack_m: tie.map_or(0.0, |tie| SLACK_SIGMAS * tie.variance_m2.sqrt()),
+                excess_m: excess_m - prior.map_or(0.0, |prior| prior.bias_m),
+                slack_m: prior.map_or(0.0, |prior| SLACK_SIGMAS * prior.variance_m2.sqrt()),
             });
         }
-        let order = |a: &Miss, b: &Miss| {
-            a.clock.cmp(&b.clock).then(a.miss_m.total_cmp(&b.miss_m)).then(a.index.cmp(&b.index))
+        let order = |a: &Excess, b: &Excess| {
+            a.clock
+                .cmp(&b.clock)
+                .then(a.excess_m.total_cmp(&b.excess_m))
+                .then(a.index.cmp(&b.index))
         };
-        self.misses.sort_unstable_by(order);
+        self.excesses.sort_unstable_by(order);
     }
 
     /// The residuals of each clock, and the clock: the middle of the largest set within W of one
     /// value.
-    fn clocks(&self) -> impl Iterator<Item = (&[Miss], f64)> {
-        self.misses.chunk_by(|a, b| a.clock == b.clock).map(|misses| {
+    fn clocks(&self) -> impl Iterator<Item = (&[Excess], f64)> {
+        self.excesses.chunk_by(|a, b| a.clock == b.clock).map(|excesses| {
             let end = |first: usize| {
-                let reach_m = misses[first].miss_m + WILD_M;
-                misses.partition_point(|miss| miss.miss_m <= reach_m)
+                let reach_m = excesses[first].excess_m + WILD_M;
+                excesses.partition_point(|excess| excess.excess_m <= reach_m)
             };
             // Of several sets of equal size the first: the earliest signals.
-            let most = (0..misses.len()).rev().max_by_key(|first| end(*first) - first);
+            let most = (0..excesses.len()).rev().max_by_key(|first| end(*first) - first);
             let first = most.expect("a chunk has a member");
-            (misses, misses[(first + end(first) - 1) / 2].miss_m)
+            (excesses, excesses[(first + end(first) - 1) / 2].excess_m)
         })
     }
 }
 
-impl Miss {
+impl Excess {
     /// Distance from its clock (m).
     fn off_m(&self, clock_m: f64) -> f64 {
-        ((self.miss_m - clock_m).abs() - self.slack_m).max(0.0)
+        ((self.excess_m - clock_m).abs() - self.slack_m).max(0.0)
     }
 }
 
@@ -200,13 +203,13 @@ impl SinglePoint {
         let mut position = best.position;
         for _ in 0..REFINEMENTS {
             self.collect_all(position);
-            let mut rows = Vec::with_capacity(self.search.misses.len());
-            for (misses, clock_m) in self.search.clocks() {
-                for miss in misses {
-                    let off_m = miss.off_m(clock_m);
+            let mut rows = Vec::with_capacity(self.search.excesses.len());
+            for (excesses, clock_m) in self.search.clocks() {
+                for excess in excesses {
+                    let off_m = excess.off_m(clock_m);
                     let weight = (1.0 + (off_m / LATE_M).powi(2)).recip();
                     let is_used = off_m < WILD_M;
-                    rows.push(Row { weight, is_used, ..self.search_row(miss.index, position) });
+                    rows.push(Row { weight, is_used, ..self.search_row(excess.index, position) });
                 }
             }
             let Some(step) = Step::solve(&rows) else { return best };
@@ -275,8 +278,8 @@ impl SinglePoint {
     fn candidate(&mut self, position: Ecef) -> Candidate {
         self.collect_all(position);
         let (mut cost, mut agreeing) = (0.0, 0);
-        for (misses, clock_m) in self.search.clocks() {
-            for off_m in misses.iter().map(|miss| miss.off_m(clock_m)) {
+        for (excesses, clock_m) in self.search.clocks() {
+            for off_m in excesses.iter().map(|excess| excess.off_m(clock_m)) {
                 cost += (off_m.min(WILD_M) / LATE_M).powi(2).ln_1p();
                 agreeing += usize::from(off_m < WILD_M);
             }
@@ -301,16 +304,17 @@ impl SinglePoint {
         search.collect(placed.map(|(index, m)| {
             (index, m.satellite.constellation, m.corrected_range_m - range_m(m))
         }));
-        for (misses, clock_m) in search.clocks() {
-            for miss in misses {
-                let measurement = &mut measurements.list[miss.index];
+        for (excesses, clock_m) in search.clocks() {
+            for excess in excesses {
+                let measurement = &mut measurements.list[excess.index];
                 let before_m = measurement.corrected_range_m - range_m(measurement);
                 let agrees = |other: &Measurement| {
                     let change_m = other.corrected_range_m - range_m(other) - before_m;
-                    Miss { miss_m: miss.miss_m + change_m, ..*miss }.off_m(clock_m) <= WILD_M
+                    Excess { excess_m: excess.excess_m + change_m, ..*excess }.off_m(clock_m)
+                        <= WILD_M
                 };
                 if agrees(measurement) {
-                    wild[miss.index] = false;
+                    wild[excess.index] = false;
                     continue;
                 }
                 let EpochInputs { epoch, navigation, bands, .. } = *inputs;
@@ -321,7 +325,7 @@ impl SinglePoint {
                     bands,
                     agrees,
                 );
-                wild[miss.index] = other.is_none();
+                wild[excess.index] = other.is_none();
                 if let Some(other) = other {
                     *measurement = other;
                 }

@@ -32,7 +32,7 @@ const REWEIGHTINGS_MAX: usize = 500;
 /// curvature is less than a millimetre.
 const STRAIGHT_M: f64 = 100.0;
 /// Change of position below which the weights have converged (m).
-const SETTLED_M: f64 = 1e-6;
+const CONVERGED_M: f64 = 1e-6;
 
 impl SinglePoint {
     /// The fit itself if its residuals agree; otherwise a fit with the outlier excluded or with
@@ -59,7 +59,7 @@ impl SinglePoint {
         for _ in 0..REWEIGHTINGS_MAX {
             self.reweigh(&step);
             let Some(mut next) = self.step_of(&self.rows) else { return all };
-            let has_settled = (next.position_m - step.position_m).norm() < SETTLED_M;
+            let has_settled = (next.position_m - step.position_m).norm() < CONVERGED_M;
             let moved_m = next.position_m.norm();
             if has_settled && moved_m <= LAST_STEP_M {
                 step = next;

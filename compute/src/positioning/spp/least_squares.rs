@@ -62,7 +62,7 @@ pub(crate) struct Clock {
 
 /// Prior of a constellation's clock: the common clock plus a bias.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Tie {
+pub(crate) struct ClockPrior {
     /// o_c (m).
     pub(crate) bias_m: f64,
     /// p_c (m²).
@@ -71,9 +71,9 @@ pub(crate) struct Tie {
     pub(crate) is_known: bool,
 }
 
-/// Contribution of ties to a solution.
+/// Contribution of priors to a solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
-struct Tied {
+struct PriorPart {
     /// Fraction of each clock that its own rows determine.
     own: [f64; Constellation::COUNT],
     /// Sum of the designs with the common clock, and its information.
@@ -96,8 +96,8 @@ pub(crate) struct Step {
     pub(crate) means: [ConstellationMean; Constellation::COUNT],
     /// Steps δb of the clocks by constellation (m).
     clocks_m: [f64; Constellation::COUNT],
-    /// Contribution of the ties, if clocks are tied.
-    tied: Option<Tied>,
+    /// Contribution of the priors, if clocks are tied.
+    tied: Option<PriorPart>,
 }
 
 impl Step {
@@ -119,20 +119,23 @@ impl Step {
     }
 
     /// Solves the rows in use with tied clocks; `None` if they do not determine a position.
-    pub(crate) fn solve_tied(rows: &[Row], ties: &[Tie; Constellation::COUNT]) -> Option<Self> {
+    pub(crate) fn solve_with_priors(
+        rows: &[Row],
+        priors: &[ClockPrior; Constellation::COUNT],
+    ) -> Option<Self> {
         let means = means(rows);
         let (mut normal, mut right) = (Matrix4::zeros(), Vector4::zeros());
         for row in rows.iter().filter(|row| row.is_used) {
             let design = row.gradient.push(1.0);
-            let residual_m = row.residual_m + ties[row.constellation.index()].bias_m;
+            let residual_m = row.residual_m + priors[row.constellation.index()].bias_m;
             normal += design * design.transpose() * row.weight;
             right -= design * (row.weight * residual_m);
         }
-        for (mean, tie) in present(&means, ties) {
-            let total = mean.weight + tie.variance_m2.recip();
+        for (mean, prior) in present(&means, priors) {
+            let total = mean.weight + prior.variance_m2.recip();
             let sum = mean.gradient.push(1.0) * mean.weight;
             normal -= sum * sum.transpose() / total;
-            right += sum * (mean.weight * (mean.residual_m + tie.bias_m) / total);
+            right += sum * (mean.weight * (mean.residual_m + prior.bias_m) / total);
         }
         let (cross, common) = (normal.fixed_view::<3, 1>(0, 3).into_owned(), normal[(3, 3)]);
         let reduced = normal.fixed_view::<3, 3>(0, 0) - cross * cross.transpose() / common;
@@ -141,19 +144,19 @@ impl Step {
         let common_m = (right.w - cross.dot(&position_m)) / common;
         let mut clocks_m = [0.0; Constellation::COUNT];
         let (mut squares, mut own) = (0.0, [0.0; Constellation::COUNT]);
-        for (index, (mean, tie)) in means.iter().zip(ties).enumerate() {
+        for (index, (mean, prior)) in means.iter().zip(priors).enumerate() {
             if mean.count == 0 {
                 continue;
             }
-            let known_m = common_m + tie.bias_m;
+            let known_m = common_m + prior.bias_m;
             let alone_m = -(mean.residual_m + mean.gradient.dot(&position_m));
-            let information = tie.variance_m2.recip();
+            let information = prior.variance_m2.recip();
             own[index] = mean.weight / (mean.weight + information);
             clocks_m[index] = own[index] * alone_m + (1.0 - own[index]) * known_m;
             squares += information * (clocks_m[index] - known_m).powi(2);
         }
-        let known = present(&means, ties).filter(|(_, tie)| tie.is_known).count();
-        let tied = Tied { own, cross, common, squares, known: known.saturating_sub(1) };
+        let known = present(&means, priors).filter(|(_, prior)| prior.is_known).count();
+        let tied = PriorPart { own, cross, common, squares, known: known.saturating_sub(1) };
         Some(Self { position_m, covariance, means, clocks_m, tied: Some(tied) })
     }
 
@@ -256,12 +259,12 @@ impl Step {
     }
 }
 
-/// The means that have rows, with their ties.
+/// The means that have rows, with their priors.
 fn present<'a>(
     means: &'a [ConstellationMean],
-    ties: &'a [Tie],
-) -> impl Iterator<Item = (&'a ConstellationMean, &'a Tie)> {
-    means.iter().zip(ties).filter(|(mean, _)| 0 < mean.count)
+    priors: &'a [ClockPrior],
+) -> impl Iterator<Item = (&'a ConstellationMean, &'a ClockPrior)> {
+    means.iter().zip(priors).filter(|(mean, _)| 0 < mean.count)
 }
 
 fn means(rows: &[Row]) -> [ConstellationMean; Constellation::COUNT] {
@@ -349,33 +352,33 @@ mod tests {
         assert_eq!(step.counts(), (7, 2));
     }
 
-    /// Tied clocks against the full equations of positions, common clock and two biases with
-    /// priors.
+    /// Clocks with priors against the full equations of position, common clock and two biases.
     #[test]
     fn tied_clocks_agree_with_the_full_normal_equations() {
         let rows = rows();
-        let mut ties =
-            [Tie { bias_m: 0.0, variance_m2: 1e6, is_known: false }; Constellation::COUNT];
-        ties[Constellation::Gps.index()] = Tie { bias_m: 0.0, variance_m2: 0.5, is_known: true };
-        ties[Constellation::BeiDou.index()] =
-            Tie { bias_m: -8.0, variance_m2: 4.0, is_known: true };
+        let mut priors =
+            [ClockPrior { bias_m: 0.0, variance_m2: 1e6, is_known: false }; Constellation::COUNT];
+        priors[Constellation::Gps.index()] =
+            ClockPrior { bias_m: 0.0, variance_m2: 0.5, is_known: true };
+        priors[Constellation::BeiDou.index()] =
+            ClockPrior { bias_m: -8.0, variance_m2: 4.0, is_known: true };
         let (mut normal, mut right) =
             (SMatrix::<f64, 6, 6>::zeros(), SMatrix::<f64, 6, 1>::zeros());
-        for (at, tie) in [(4, Constellation::Gps), (5, Constellation::BeiDou)] {
-            normal[(at, at)] += ties[tie.index()].variance_m2.recip();
+        for (at, prior) in [(4, Constellation::Gps), (5, Constellation::BeiDou)] {
+            normal[(at, at)] += priors[prior.index()].variance_m2.recip();
         }
         for row in &rows {
             let mut a = SMatrix::<f64, 6, 1>::zeros();
             a.fixed_rows_mut::<3>(0).copy_from(&row.gradient);
             a[3] = 1.0;
             a[4 + usize::from(row.constellation == Constellation::BeiDou)] = 1.0;
-            let residual_m = row.residual_m + ties[row.constellation.index()].bias_m;
+            let residual_m = row.residual_m + priors[row.constellation.index()].bias_m;
             normal += a * a.transpose() * row.weight;
             right -= a * row.weight * residual_m;
         }
         let inverse = normal.try_inverse().unwrap();
         let full = inverse * right;
-        let step = Step::solve_tied(&rows, &ties).unwrap();
+        let step = Step::solve_with_priors(&rows, &priors).unwrap();
         assert!((step.position_m - full.fixed_rows::<3>(0)).norm() < 1e-9);
         assert!((step.covariance - inverse.fixed_view::<3, 3>(0, 0)).norm() < 1e-9);
         assert!((step.clock_m(Constellation::Gps) - full[3] - full[4]).abs() < 1e-9);
@@ -390,12 +393,12 @@ mod tests {
     #[test]
     fn gain_and_redundancy_are_derivatives() {
         let rows = rows();
-        let mut ties =
-            [Tie { bias_m: 3.0, variance_m2: 2.0, is_known: true }; Constellation::COUNT];
-        ties[Constellation::BeiDou.index()].variance_m2 = 0.3;
+        let mut priors =
+            [ClockPrior { bias_m: 3.0, variance_m2: 2.0, is_known: true }; Constellation::COUNT];
+        priors[Constellation::BeiDou.index()].variance_m2 = 0.3;
         for is_tied in [false, true] {
             let solve = |rows: &[Row]| match is_tied {
-                true => Step::solve_tied(rows, &ties).unwrap(),
+                true => Step::solve_with_priors(rows, &priors).unwrap(),
                 false => Step::solve(rows).unwrap(),
             };
             let before = solve(&rows);
@@ -416,9 +419,10 @@ mod tests {
     #[test]
     fn loose_ties_are_free_clocks() {
         let rows = rows();
-        let loose =
-            [Tie { bias_m: 100.0, variance_m2: 1e12, is_known: false }; Constellation::COUNT];
-        let (free, tied) = (Step::solve(&rows).unwrap(), Step::solve_tied(&rows, &loose).unwrap());
+        let loose = [ClockPrior { bias_m: 100.0, variance_m2: 1e12, is_known: false };
+            Constellation::COUNT];
+        let (free, tied) =
+            (Step::solve(&rows).unwrap(), Step::solve_with_priors(&rows, &loose).unwrap());
         assert!((free.position_m - tied.position_m).norm() < 1e-6);
         assert!((free.covariance - tied.covariance).norm() < 1e-6);
         assert_eq!(free.degrees(), tied.degrees());

@@ -24,11 +24,11 @@ use crate::gnss::{
 use crate::models::geometric_range;
 
 use super::Measurements;
-use super::answer::LOST_M;
+use super::answer::SIGMA_MAX_M;
 use super::engine::EpochInputs;
 use super::velocity::VelocityEstimator;
 use consensus::Search;
-use least_squares::{Row, Step, Tie};
+use least_squares::{ClockPrior, Row, Step};
 use protection::Influence;
 use system_biases::SystemBiases;
 
@@ -50,7 +50,7 @@ pub(super) struct SinglePoint {
     /// By measurement: whether its residual is too large for multipath.
     wild: Vec<bool>,
     /// Ties between the clocks of the epoch's constellations, if there are any.
-    ties: Option<[Tie; Constellation::COUNT]>,
+    priors: Option<[ClockPrior; Constellation::COUNT]>,
     search: Search,
     influences: Vec<Influence>,
 }
@@ -83,8 +83,9 @@ const SUFFICIENT: usize = 5;
 
 /// Whether a position from fewer than [`SUFFICIENT`] satellites is useless: its standard deviation
 /// is above a kilometre.
-fn is_lost(Answered { estimate, .. }: &Answered) -> bool {
-    estimate.satellites_used.len() < SUFFICIENT && LOST_M * LOST_M < estimate.covariance.trace()
+fn is_too_uncertain(Answered { estimate, .. }: &Answered) -> bool {
+    estimate.satellites_used.len() < SUFFICIENT
+        && SIGMA_MAX_M * SIGMA_MAX_M < estimate.covariance.trace()
 }
 
 impl Fit {
@@ -117,8 +118,8 @@ impl SinglePoint {
     ) -> Solution {
         let (time, options) = (inputs.epoch.time, inputs.options());
         self.gather(inputs);
-        let ties = biases.ties(time, &options.graph);
-        self.search.known = biases.is_known().then_some(ties);
+        let priors = biases.priors(time, &options.graph);
+        self.search.known = biases.is_known().then_some(priors);
         let mut answer = self.answer(inputs, start);
         let fit = answer.as_ref().ok().map(|answered| &answered.fit);
         if let Some(fit) = fit.filter(|fit| fit.is_valid()) {
@@ -126,10 +127,10 @@ impl SinglePoint {
         }
         let is_redundant = fit.is_some_and(|fit| fit.test_ratio.is_some());
         if options.fault_exclusion && !is_redundant {
-            (self.ties, self.search.known) = (Some(ties), Some(ties));
+            (self.priors, self.search.known) = (Some(priors), Some(priors));
             let tied = self.answer(inputs, start);
             // Without redundancy a free clock absorbs an error that tied clocks show.
-            if !tied.as_ref().is_ok_and(is_lost)
+            if !tied.as_ref().is_ok_and(is_too_uncertain)
                 && matches!(tied, Ok(_) | Err(Reason::NotConverged))
             {
                 answer = tied;
@@ -143,7 +144,7 @@ impl SinglePoint {
         self.measurements.gather(epoch, navigation, inputs.options(), bands);
         self.wild.clear();
         self.wild.resize(self.measurements.list.len(), false);
-        (self.ties, self.search.known) = (None, None);
+        (self.priors, self.search.known) = (None, None);
     }
 
     fn answer(&mut self, inputs: &EpochInputs<'_>, start: Option<Ecef>) -> Answer {
@@ -264,9 +265,9 @@ impl SinglePoint {
     fn determined_step(&mut self) -> Result<Step, Reason> {
         let mut counts = [0_usize; Constellation::COUNT];
         self.rows.iter().for_each(|row| counts[row.constellation.index()] += 1);
-        if let Some(ties) = &self.ties {
+        if let Some(priors) = &self.priors {
             // As below; a clock that is known from earlier epochs needs one satellite only.
-            let determines = |c: Constellation| 1 < counts[c.index()] || ties[c.index()].is_known;
+            let determines = |c: Constellation| 1 < counts[c.index()] || priors[c.index()].is_known;
             self.rows.iter_mut().for_each(|row| row.is_used = determines(row.constellation));
             let used = self.rows.iter().filter(|row| row.is_used).count();
             if used < 4 {
@@ -289,8 +290,8 @@ impl SinglePoint {
 
     /// The step of rows, with clocks free or tied.
     fn step_of(&self, rows: &[Row]) -> Option<Step> {
-        match &self.ties {
-            Some(ties) => Step::solve_tied(rows, ties),
+        match &self.priors {
+            Some(priors) => Step::solve_with_priors(rows, priors),
             None => Step::solve(rows),
         }
     }

@@ -24,8 +24,8 @@ use nalgebra::Vector3;
 
 use crate::gnss::{LocalFrame, Protection};
 use crate::positioning::Measurement;
-use crate::positioning::code_error::{FAULT_SHARE, WILD_M, extra_path_m};
 use crate::positioning::integrity::{bivariate_normal, major_m2, normal_one_sided};
+use crate::positioning::pseudorange_error::{FAULT_SHARE, WILD_M, extra_path_m};
 use crate::positioning::receiver::reflected_before_learning;
 
 use super::exclusion::REDUNDANCY_MIN;

@@ -15,7 +15,7 @@ use crate::gnss::{Constellation, GpsTime};
 use crate::positioning::uncertainty::repetition;
 use crate::snapshot::{clone_fields, snapshot_fields};
 
-use super::least_squares::{Clock, Tie};
+use super::least_squares::{Clock, ClockPrior};
 
 /// Standard deviation of an inter-system bias before any estimate (m).
 const UNKNOWN_M: f64 = 1e3;
@@ -44,15 +44,19 @@ clone_fields!(SystemBiases { known, updated });
 
 impl SystemBiases {
     /// Ties that an epoch may use.
-    pub(super) fn ties(
+    pub(super) fn priors(
         &self,
         time: GpsTime,
         options: &GraphOptions,
-    ) -> [Tie; Constellation::COUNT] {
-        let grown = self.growth_m2(time, options);
+    ) -> [ClockPrior; Constellation::COUNT] {
+        let grown_m2 = self.growth_m2(time, options);
         self.known.map(|known| {
             let Bias { value_m, variance_m2 } = known.unwrap_or(UNKNOWN);
-            Tie { bias_m: value_m, variance_m2: variance_m2 + grown, is_known: known.is_some() }
+            ClockPrior {
+                bias_m: value_m,
+                variance_m2: variance_m2 + grown_m2,
+                is_known: known.is_some(),
+            }
         })
     }
 
@@ -63,9 +67,9 @@ impl SystemBiases {
 
     /// Updates with the clocks of an epoch that determined them independently, in a fixed order.
     pub(super) fn learn(&mut self, time: GpsTime, clocks: &[Clock], options: &GraphOptions) {
-        let grown = self.growth_m2(time, options);
-        let since = self.updated.map_or(f64::INFINITY, |updated| time - updated);
-        self.known.iter_mut().flatten().for_each(|bias| bias.variance_m2 += grown);
+        let grown_m2 = self.growth_m2(time, options);
+        let since_s = self.updated.map_or(f64::INFINITY, |updated| time - updated);
+        self.known.iter_mut().flatten().for_each(|bias| bias.variance_m2 += grown_m2);
         self.updated = Some(time);
         let (mut information, mut common_m) = (0.0, 0.0);
         let proven = || clocks.iter().filter(|clock| !clock.is_alone);
@@ -85,7 +89,7 @@ impl SystemBiases {
         } else {
             common_m /= information;
         }
-        let correlated = repetition(since.max(f64::MIN_POSITIVE), options.correlation_s);
+        let repetition_count = repetition(since_s.max(f64::MIN_POSITIVE), options.correlation_s);
         for clock in clocks {
             let known = &mut self.known[clock.constellation.index()];
             let measured = Bias {
@@ -94,7 +98,7 @@ impl SystemBiases {
             };
             let before = known.unwrap_or(UNKNOWN);
             match (before.agrees(&measured), *known) {
-                (true, Some(bias)) => *known = Some(bias.updated(&measured, correlated)),
+                (true, Some(bias)) => *known = Some(bias.updated(&measured, repetition_count)),
                 (true, None) => *known = Some(measured),
                 (false, _) if clock.is_alone => {}
                 (false, _) => *known = Some(measured),
@@ -111,13 +115,13 @@ impl SystemBiases {
 impl Bias {
     /// Whether a measured bias differs from the estimate by noise only.
     fn agrees(&self, measured: &Self) -> bool {
-        let miss_m = measured.value_m - self.value_m;
+        let change_m = measured.value_m - self.value_m;
         let variance_m2 = self.variance_m2 + measured.variance_m2;
-        miss_m * miss_m <= STEP_SIGMAS * STEP_SIGMAS * variance_m2
+        change_m * change_m <= STEP_SIGMAS * STEP_SIGMAS * variance_m2
     }
 
-    fn updated(self, measured: &Self, correlated: f64) -> Self {
-        let gain = self.variance_m2 / (self.variance_m2 + correlated * measured.variance_m2);
+    fn updated(self, measured: &Self, repetition_count: f64) -> Self {
+        let gain = self.variance_m2 / (self.variance_m2 + repetition_count * measured.variance_m2);
         Self {
             value_m: self.value_m + gain * (measured.value_m - self.value_m),
             variance_m2: self.variance_m2 * (1.0 - gain),
@@ -139,10 +143,10 @@ mod tests {
     }
 
     fn bias_m(biases: &SystemBiases, time: GpsTime) -> (f64, f64) {
-        let ties = biases.ties(time, &options());
-        let tie = |c: Constellation| ties[c.index()];
-        let (gps, beidou) = (tie(Constellation::Gps), tie(Constellation::BeiDou));
-        assert!(gps.is_known && beidou.is_known && !tie(Constellation::Galileo).is_known);
+        let priors = biases.priors(time, &options());
+        let prior = |c: Constellation| priors[c.index()];
+        let (gps, beidou) = (prior(Constellation::Gps), prior(Constellation::BeiDou));
+        assert!(gps.is_known && beidou.is_known && !prior(Constellation::Galileo).is_known);
         (beidou.bias_m - gps.bias_m, (beidou.variance_m2 + gps.variance_m2).sqrt())
     }
 

@@ -131,14 +131,14 @@ mod tests {
     use crate::simulation::scenario::ReceiverClock;
 
     /// Error of one pseudorange (m) and its stated C/N0 (dB-Hz).
-    struct CodeError {
+    struct PseudorangeError {
         cn0_db_hz: f64,
         late_m: f64,
     }
 
     /// Pseudorange errors on drives of some kinds. The median of the strong signals of an epoch,
     /// constellation and code is subtracted, and with it the biases.
-    fn code_errors(wanted: &[DriveKind], is_phone: bool) -> Vec<CodeError> {
+    fn pseudorange_errors(wanted: &[DriveKind], is_phone: bool) -> Vec<PseudorangeError> {
         let mut errors = Vec::new();
         for seed in 1..=60 {
             let RandomDrive { scenario, kind, .. } = RandomDrive::draw(seed);
@@ -172,7 +172,7 @@ mod tests {
                 for group in of_group.into_values().filter(|group| 5 <= group.len()) {
                     let strong = group.iter().filter(|(cn0, _)| 38.0 <= *cn0).map(|(_, m)| *m);
                     let Some(reference_m) = median(strong.collect()) else { continue };
-                    errors.extend(group.into_iter().map(|(cn0_db_hz, late_m)| CodeError {
+                    errors.extend(group.into_iter().map(|(cn0_db_hz, late_m)| PseudorangeError {
                         cn0_db_hz,
                         late_m: late_m - reference_m,
                     }));
@@ -188,7 +188,7 @@ mod tests {
     }
 
     /// Median error and median absolute deviation within a range of C/N0.
-    fn spread(errors: &[CodeError], low: f64, high: f64) -> (f64, f64) {
+    fn spread(errors: &[PseudorangeError], low: f64, high: f64) -> (f64, f64) {
         let inside = errors.iter().filter(|e| (low..high).contains(&e.cn0_db_hz));
         let inside: Vec<_> = inside.map(|e| e.late_m).collect();
         let middle = median(inside.clone()).expect("errors of that C/N0");
@@ -251,7 +251,7 @@ mod tests {
     /// dB-Hz and deviations of 0.3 to 0.6 m above 40 dB-Hz.
     #[test]
     fn ranges_of_cars_err_as_real_ones_do() {
-        let errors = code_errors(&[DriveKind::City, DriveKind::Walk], false);
+        let errors = pseudorange_errors(&[DriveKind::City, DriveKind::Walk], false);
         let (late, weak) = spread(&errors, 20.0, 25.0);
         let (_, middle) = spread(&errors, 25.0, 30.0);
         let (on_time, strong) = spread(&errors, 36.0, 50.0);
@@ -264,7 +264,7 @@ mod tests {
     /// Recorded phones have deviations of 8 to 37, 4.5 to 14 and 1.6 to 6.6 m.
     #[test]
     fn ranges_of_phones_err_as_real_ones_do() {
-        let errors = code_errors(&[DriveKind::Phone], true);
+        let errors = pseudorange_errors(&[DriveKind::Phone], true);
         let deviation = |low, high| spread(&errors, low, high).1;
         let (weak, middle, strong) =
             (deviation(20.0, 25.0), deviation(25.0, 30.0), deviation(35.0, 40.0));

@@ -11,7 +11,7 @@ use crate::positioning::rtk::pause::SolvedPhases;
 use crate::positioning::rtk::relative_solver::{NewEpoch, RelativeSolver, Resolved};
 use crate::positioning::rtk::tracking::{SolvedEpoch, Tracking};
 use crate::positioning::setup::Setup;
-use crate::positioning::starts::{LOST_S, START_M_S, start_frame};
+use crate::positioning::starts::{FAILING_MAX_S, START_M_S, start_frame};
 use crate::snapshot::state_fields;
 
 use super::gaussian::{Gains, Gaussian};
@@ -208,7 +208,7 @@ impl FilterState {
         let interval_s = epoch.motion.as_ref().map_or(0.0, MotionFactor::interval_s);
         let is_failing = 2 * passed.0 < passed.1;
         self.failing_s = if is_failing { self.failing_s + interval_s } else { 0.0 };
-        LOST_S < self.failing_s
+        FAILING_MAX_S < self.failing_s
     }
 }
 

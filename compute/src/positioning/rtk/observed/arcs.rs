@@ -5,10 +5,10 @@
 //! epoch refers to it.
 
 use crate::gnss::{Band, GpsTime, ObservationCode, SatelliteId};
+use crate::graph::median;
 use crate::positioning::clock_jump::whole_milliseconds_m;
-use crate::positioning::code_error::WILD_M;
 use crate::positioning::differencing::{DifferenceGroup, SingleDifference};
-use crate::positioning::median::median;
+use crate::positioning::pseudorange_error::WILD_M;
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::losses::Losses;

@@ -3,7 +3,7 @@
 use nalgebra::SVector;
 
 use crate::gnss::GpsTime;
-use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, SharingRow, System};
+use crate::graph::{Estimate, Kernel, Prior, Problem, Row, SharingRow, System, Widening};
 use crate::positioning::factors::{ComponentFactor, DopplerFactor, Line, MotionFactor, Sight};
 use crate::positioning::setup::{AnnealedKernels, Kernels};
 use crate::snapshot::{snapshot_fields, state_fields};
@@ -318,8 +318,13 @@ pub(crate) struct Rows<'a> {
 }
 
 impl Problem<STATE> for Rows<'_> {
-    fn linearize(&mut self, estimate: &Estimate<STATE>, phase: Phase, system: &mut System<STATE>) {
-        let kernels = self.kernels.at(phase);
+    fn linearize(
+        &mut self,
+        estimate: &Estimate<STATE>,
+        widening: Widening,
+        system: &mut System<STATE>,
+    ) {
+        let kernels = self.kernels.at(widening);
         self.prior.add_to(0, estimate, system);
         for (k, epoch) in self.epochs.iter().enumerate() {
             if 0 < k {

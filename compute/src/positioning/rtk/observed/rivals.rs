@@ -9,8 +9,8 @@ use nalgebra::Vector3;
 
 use crate::gnss::GpsTime;
 use crate::graph::shared_offset;
-use crate::positioning::code_error::{CodeError, extra_path_m};
 use crate::positioning::differencing::SingleDifferences;
+use crate::positioning::pseudorange_error::{PseudorangeError, extra_path_m};
 use crate::positioning::receiver::reflected_before_learning;
 use crate::positioning::rivals::{POOL_S, Pooled, SPACING_S, Scope, Verdict, Watch};
 use crate::positioning::setup::OFFSET_KERNEL;
@@ -64,7 +64,8 @@ impl PseudorangeWatch {
         if self.seen.last().is_none_or(|seen| SPACING_S <= now - seen.time) {
             self.take(judged, scratch);
         }
-        if !self.watch.is_due(now, interval_s) {
+        self.watch.record_epoch(now, interval_s);
+        if !self.watch.is_due(now) {
             return None;
         }
         let pool = self.pooled(now);
@@ -94,9 +95,9 @@ impl PseudorangeWatch {
             let offset_m = shared_offset(rows, &OFFSET_KERNEL, numbers);
             for (row, factor) in rows.iter().zip(&epoch.rows[group.begin..group.end]) {
                 let satellite = &differences.satellites[factor.sight];
-                let residual_m = -(row.row.residual / row.by_offset + offset_m);
+                let excess_m = -(row.row.residual / row.by_offset + offset_m);
                 let slope = Vector3::from(row.row.jacobian) / row.by_offset;
-                let error = CodeError {
+                let error = PseudorangeError {
                     sigma_m: row.by_offset.recip(),
                     reflected: reflected_before_learning(satellite.cn0_db_hz),
                     extra_path_m: extra_path_m(-slope.z),
@@ -104,7 +105,7 @@ impl PseudorangeWatch {
                 let pooled = Pooled {
                     satellite: satellite.satellite,
                     slope,
-                    residual_m,
+                    excess_m,
                     error,
                     before_learning: error,
                     independent: row.independent_share,
@@ -124,9 +125,7 @@ impl PseudorangeWatch {
         let span_s = self.watch.unpooled_s(now);
         let recent = self.seen.iter().filter(|seen| now - seen.time <= span_s);
         let mut all: Vec<Pooled> = recent.map(|seen| seen.pooled).collect();
-        all.sort_by(|a, b| {
-            a.satellite.cmp(&b.satellite).then(a.residual_m.total_cmp(&b.residual_m))
-        });
+        all.sort_by(|a, b| a.satellite.cmp(&b.satellite).then(a.excess_m.total_cmp(&b.excess_m)));
         let middle = |group: &[Pooled]| {
             let independent: f64 = group.iter().map(|pooled| pooled.independent).sum();
             Pooled { independent: independent.min(1.0), ..group[group.len() / 2] }

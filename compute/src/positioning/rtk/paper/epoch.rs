@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, SVector, Vector3};
 
 use crate::config::PositioningOptions;
 use crate::gnss::{Ecef, Enu, GpsTime, LocalFrame};
-use crate::graph::{Estimate, Kernel, Phase, Prior, Problem, Row, System};
+use crate::graph::{Estimate, Kernel, Prior, Problem, Row, System, Widening};
 use crate::positioning::differencing::{SingleDifference, SingleDifferences};
 use crate::positioning::factors::{DopplerVelocityFactor, Line, Sight};
 use crate::positioning::measurements::receiver_weights;
@@ -192,7 +192,7 @@ pub(crate) struct Rows<'a> {
 }
 
 impl Problem<STATE> for Rows<'_> {
-    fn linearize(&mut self, estimate: &Estimate<STATE>, _: Phase, system: &mut System<STATE>) {
+    fn linearize(&mut self, estimate: &Estimate<STATE>, _: Widening, system: &mut System<STATE>) {
         self.prior.add_to(0, estimate, system);
         for (k, epoch) in self.epochs.iter().enumerate() {
             epoch.add_to(k, estimate, system);

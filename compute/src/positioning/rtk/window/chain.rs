@@ -2,8 +2,8 @@
 
 use crate::gnss::{GpsTime, LocalFrame, SatelliteId};
 use crate::graph::{
-    Departure, Elimination, EliminationError, Estimate, Phase, Prior, Problem, System, Workspace,
-    optimize,
+    Departure, Elimination, EliminationError, Estimate, Prior, Problem, System, Widening,
+    Workspace, optimize,
 };
 use crate::positioning::differencing::SingleDifferences;
 use crate::positioning::factors::{ComponentFactor, MotionFactor, VELOCITY};
@@ -118,7 +118,7 @@ impl Chain {
         let Self { epochs, estimate, prior, .. } = self;
         system.reset(estimate.states.len(), estimate.border.len());
         let mut rows = Rows { epochs, prior, kernels: &settings.kernels, scratch };
-        rows.linearize(estimate, Phase::Graduated(1.0), system);
+        rows.linearize(estimate, Widening::Final(1.0), system);
         elimination.factor(system, 0.0)
     }
 

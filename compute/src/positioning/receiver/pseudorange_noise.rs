@@ -27,16 +27,18 @@ use crate::snapshot::snapshot_fields;
 
 use super::grid::Grid;
 use super::kept;
-use crate::positioning::code_error::{CodeError, LOWEST_SINE, extra_path_m};
 use crate::positioning::log_product::log_product;
+use crate::positioning::pseudorange_error::{LOWEST_SINE, PseudorangeError, extra_path_m};
 
 /// First value of the grid, and its step (dB-Hz).
 const FIRST_DB_HZ: f64 = 20.0;
 const STEP_DB: f64 = 2.0;
 /// The last value is 48 dB-Hz.
 const VALUES: usize = 15;
-/// Mean and standard deviation of the prior (dB-Hz).
-const PRIOR_DB_HZ: (f64, f64) = (32.0, 6.0);
+/// Mean of the levels' prior (dB-Hz).
+const LEVEL_DB_HZ: f64 = 32.0;
+/// Its standard deviation (dB).
+const LEVEL_SIGMA_DB: f64 = 6.0;
 /// Standard deviation of the constellations' levels about the common one (dB): the interface
 /// specifications of GPS, GLONASS, Galileo and BeiDou guarantee powers on L1 that differ by some
 /// decibels, and receivers track different modulations differently.
@@ -98,31 +100,31 @@ pub(in crate::positioning) fn common_ionosphere_m(list: &[Measurement]) -> f64 {
 
 /// A pseudorange residual with the properties that its noise depends on.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::positioning) struct CodeResidual {
+pub(in crate::positioning) struct PseudorangeExcess {
     pub(in crate::positioning) satellite: SatelliteId,
     pub(in crate::positioning) signal: Signal,
     /// Standard deviation in force (m).
     pub(in crate::positioning) sigma_m: f64,
     /// Measured − modelled (m).
-    pub(in crate::positioning) residual_m: f64,
+    pub(in crate::positioning) excess_m: f64,
 }
 
 /// The levels S₀ of one receiver, one for each constellation.
 #[derive(Clone, Debug)]
-pub(super) struct CodeNoise {
+pub(super) struct PseudorangeNoise {
     /// Likelihood of each constellation's level by its own residuals.
     evidence: [Grid<VALUES>; Constellation::COUNT],
     /// Posterior means (dB-Hz).
     levels_db_hz: [f64; Constellation::COUNT],
 }
 
-snapshot_fields!(CodeNoise { evidence, levels_db_hz });
+snapshot_fields!(PseudorangeNoise { evidence, levels_db_hz });
 
-impl Default for CodeNoise {
+impl Default for PseudorangeNoise {
     fn default() -> Self {
         Self {
             evidence: [Grid::new(no_evidence); Constellation::COUNT],
-            levels_db_hz: [PRIOR_DB_HZ.0; Constellation::COUNT],
+            levels_db_hz: [LEVEL_DB_HZ; Constellation::COUNT],
         }
     }
 }
@@ -140,15 +142,15 @@ fn normal(distance_db: f64, deviation_db: f64) -> f64 {
     (-0.5 * (distance_db / deviation_db).powi(2)).exp()
 }
 
-impl CodeNoise {
+impl PseudorangeNoise {
     /// Error model of a pseudorange for the mean of its constellation's level.
-    pub(super) fn error(&self, constellation: Constellation, signal: &Signal) -> CodeError {
+    pub(super) fn error(&self, constellation: Constellation, signal: &Signal) -> PseudorangeError {
         error_at(self.levels_db_hz[constellation.index()], signal)
     }
 
     /// Updates with the residuals of an epoch, each with the weight `share` of an independent one.
-    pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[CodeResidual]) {
-        let models: Vec<_> = residuals.iter().map(|r| AnyLevel::of(&r.signal)).collect();
+    pub(super) fn learn(&mut self, interval_s: f64, share: f64, residuals: &[PseudorangeExcess]) {
+        let models: Vec<_> = residuals.iter().map(|r| NoiseByLevel::of(&r.signal)).collect();
         for (constellation, evidence) in Constellation::ALL.into_iter().zip(&mut self.evidence) {
             evidence.fade(kept(interval_s), no_evidence);
             let all = residuals.iter().zip(&models);
@@ -157,7 +159,7 @@ impl CodeNoise {
                 evidence.update(|index| {
                     let level = Level::of(level_db_hz(index));
                     let densities =
-                        own.clone().map(|(r, model)| model.error(&level).density(r.residual_m));
+                        own.clone().map(|(r, model)| model.error(&level).density(r.excess_m));
                     share * log_product(densities)
                 });
             }
@@ -178,9 +180,8 @@ fn means(likelihoods: &[[f64; VALUES]; Constellation::COUNT]) -> [f64; Constella
         })
     };
     let messages = likelihoods.each_ref().map(spread);
-    let (mean, deviation) = PRIOR_DB_HZ;
     let prior: [f64; VALUES] =
-        std::array::from_fn(|i| normal(level_db_hz(i as f64) - mean, deviation));
+        std::array::from_fn(|i| normal(level_db_hz(i as f64) - LEVEL_DB_HZ, LEVEL_SIGMA_DB));
     std::array::from_fn(|own| {
         let mut common = prior;
         for (_, message) in messages.iter().enumerate().filter(|(other, _)| *other != own) {
@@ -202,19 +203,19 @@ fn means(likelihoods: &[[f64; VALUES]; Constellation::COUNT]) -> [f64; Constella
 /// width 3·√(1 + π/8·(6/3)²) dB: both are nearly normal distribution functions, whose variances
 /// add.
 pub(in crate::positioning) fn reflected_before_learning(cn0_db_hz: Option<f64>) -> f64 {
-    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - PRIOR_DB_HZ.0;
+    let above_db = cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ) - LEVEL_DB_HZ;
     (1.0 + (above_db / UNLEARNT_LOGISTIC_DB).exp()).recip()
 }
 
 /// Error model of a pseudorange by the prior of S₀ alone.
-pub(in crate::positioning) fn error_before_learning(signal: &Signal) -> CodeError {
+pub(in crate::positioning) fn error_before_learning(signal: &Signal) -> PseudorangeError {
     let reflected = reflected_before_learning(signal.cn0_db_hz);
-    CodeError { reflected, ..error_at(PRIOR_DB_HZ.0, signal) }
+    PseudorangeError { reflected, ..error_at(LEVEL_DB_HZ, signal) }
 }
 
 /// Error model for S₀ = `level_db_hz`.
-fn error_at(level_db_hz: f64, signal: &Signal) -> CodeError {
-    AnyLevel::of(signal).error(&Level::of(level_db_hz))
+fn error_at(level_db_hz: f64, signal: &Signal) -> PseudorangeError {
+    NoiseByLevel::of(signal).error(&Level::of(level_db_hz))
 }
 
 /// The factors that a level S₀ contributes to all signals.
@@ -233,7 +234,7 @@ impl Level {
 }
 
 /// The noise of a signal as a function of the level.
-struct AnyLevel {
+struct NoiseByLevel {
     /// The part of σ² that does not depend on the level (m²).
     quiet_m2: f64,
     /// (4 m)²·10^(−S/10) (m²).
@@ -244,7 +245,7 @@ struct AnyLevel {
     extra_path_m: f64,
 }
 
-impl AnyLevel {
+impl NoiseByLevel {
     fn of(signal: &Signal) -> Self {
         let Signal { cn0_db_hz, elevation_rad, model_m } = *signal;
         let (noise, odds) = factors(cn0_db_hz.unwrap_or(CN0_IF_MISSING_DB_HZ));
@@ -255,9 +256,9 @@ impl AnyLevel {
         Self { quiet_m2, noise_m2, odds, extra_path_m: extra_path_m(sine) }
     }
 
-    fn error(&self, level: &Level) -> CodeError {
+    fn error(&self, level: &Level) -> PseudorangeError {
         let reflected = (1.0 + self.odds * level.odds).recip();
-        CodeError {
+        PseudorangeError {
             sigma_m: (self.quiet_m2 + self.noise_m2 * level.noise).sqrt(),
             reflected: reflected.clamp(*REFLECTED.start(), *REFLECTED.end()),
             extra_path_m: self.extra_path_m,
@@ -302,13 +303,13 @@ mod tests {
         assert_eq!(strong.reflected, 0.02);
     }
 
-    fn learnt(satellite: &str, residual_m: f64) -> [f64; Constellation::COUNT] {
-        let mut noise = CodeNoise::default();
-        let residual = CodeResidual {
+    fn learnt(satellite: &str, excess_m: f64) -> [f64; Constellation::COUNT] {
+        let mut noise = PseudorangeNoise::default();
+        let residual = PseudorangeExcess {
             satellite: satellite.parse().unwrap(),
             signal: Signal { cn0_db_hz: Some(30.0), elevation_rad: 1.0, model_m: 0.0 },
             sigma_m: 4.0,
-            residual_m,
+            excess_m,
         };
         (0..60).for_each(|_| noise.learn(1.0, 0.1, &[residual; 8]));
         noise.levels_db_hz
@@ -317,7 +318,7 @@ mod tests {
     /// Residuals of half a metre at 30 dB-Hz lower the level; residuals 30 m late raise it.
     #[test]
     fn the_level_follows_the_residuals() {
-        let level = |residual_m| learnt("E01", residual_m)[Constellation::Galileo.index()];
+        let level = |excess_m| learnt("E01", excess_m)[Constellation::Galileo.index()];
         assert!(level(0.5) < 26.0 && 36.0 < level(30.0), "{} {}", level(0.5), level(30.0));
     }
 
@@ -331,7 +332,7 @@ mod tests {
             std::array::from_fn(|i| normal(level_db_hz(i as f64) - 36.0, 3.0));
         for (constellation, level) in Constellation::ALL.into_iter().zip(means(&likelihoods)) {
             let moved_db = if constellation == Constellation::Galileo { 3.33 } else { 2.67 };
-            assert!((level - PRIOR_DB_HZ.0 - moved_db).abs() < 0.2, "{constellation:?} {level}");
+            assert!((level - LEVEL_DB_HZ - moved_db).abs() < 0.2, "{constellation:?} {level}");
         }
     }
 
@@ -340,6 +341,6 @@ mod tests {
     #[test]
     fn no_evidence_leaves_the_prior() {
         let uniform = [[1.0; VALUES]; Constellation::COUNT];
-        assert!(means(&uniform).iter().all(|level| (level - PRIOR_DB_HZ.0).abs() < 1.0));
+        assert!(means(&uniform).iter().all(|level| (level - LEVEL_DB_HZ).abs() < 1.0));
     }
 }

@@ -5,7 +5,7 @@
 ///
 /// One of the two alone is biased: for n normal values by about 1.25 σ/n. Where medians are
 /// summed, as changes of a clock are, such a bias grows with every epoch.
-pub(super) fn median(values: &mut [f64]) -> Option<f64> {
+pub(crate) fn median(values: &mut [f64]) -> Option<f64> {
     let upper = values.len() / 2;
     if values.is_empty() {
         return None;

@@ -45,7 +45,7 @@ const FAR: f64 = 8.0;
 
 /// Error model of one pseudorange.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct CodeError {
+pub(super) struct PseudorangeError {
     /// σ (m).
     pub(super) sigma_m: f64,
     /// π: probability that the signal is a reflection.
@@ -54,7 +54,7 @@ pub(super) struct CodeError {
     pub(super) extra_path_m: f64,
 }
 
-snapshot_fields!(CodeError { sigma_m, reflected, extra_path_m });
+snapshot_fields!(PseudorangeError { sigma_m, reflected, extra_path_m });
 
 /// λ at the elevation E with this sine (m): H/2·cos²E/sin E.
 ///
@@ -110,7 +110,7 @@ pub(super) struct Likelihood {
     late: f64,
 }
 
-impl CodeError {
+impl PseudorangeError {
     /// The likelihood with the constants of this error model.
     pub(super) fn likelihood(&self) -> Likelihood {
         Likelihood::new(self.sigma_m.recip(), self.reflected, self.extra_path_m)
@@ -230,7 +230,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const TYPICAL: CodeError = CodeError { sigma_m: 4.0, reflected: 0.3, extra_path_m: 40.0 };
+    const TYPICAL: PseudorangeError =
+        PseudorangeError { sigma_m: 4.0, reflected: 0.3, extra_path_m: 40.0 };
 
     /// ∫ p ds over ±2 km is above one: the direct and reflected parts sum to 1 − ε, and the uniform
     /// density extends beyond its width W.
@@ -286,7 +287,8 @@ mod tests {
     proptest! {
         #[test]
         fn the_slope_is_the_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let (error, h) = (CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 }, 1e-4);
+            let error = PseudorangeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 };
+            let h = 1e-4;
             let loss = |s_m: f64| -error.evaluate(s_m).density.ln();
             let central = (loss(s_m + h) - loss(s_m - h)) / (2.0 * h);
             let slope = error.evaluate(s_m).slope;
@@ -295,7 +297,8 @@ mod tests {
 
         #[test]
         fn the_information_is_the_second_derivative(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let (error, h) = (CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 }, 1e-3);
+            let error = PseudorangeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 };
+            let h = 1e-3;
             let slope = |s_m: f64| error.evaluate(s_m).slope;
             let central = (slope(s_m + h) - slope(s_m - h)) / (2.0 * h);
             let at = error.evaluate(s_m);
@@ -305,7 +308,7 @@ mod tests {
 
         #[test]
         fn the_density_alone_is_the_same(s_m in -60.0..200.0, sigma_m in 0.8..20.0) {
-            let error = CodeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 };
+            let error = PseudorangeError { sigma_m, reflected: 0.4, extra_path_m: 25.0 };
             let ratio = error.density(s_m) / error.evaluate(s_m).density;
             prop_assert!((ratio - 1.0).abs() < 1e-14, "{ratio}");
         }
@@ -316,7 +319,7 @@ mod tests {
             sigma_m in 0.8..50.0,
             extra_path_m in EXTRA_PATH_MIN_M..120.0,
         ) {
-            let at = CodeError { sigma_m, reflected: 0.5, extra_path_m }.evaluate(s_m);
+            let at = PseudorangeError { sigma_m, reflected: 0.5, extra_path_m }.evaluate(s_m);
             prop_assert!(0.0 <= at.curvature && at.slope.is_finite() && 0.0 < at.density);
         }
     }
