@@ -25,6 +25,36 @@ pub(super) const fn unzigzag(value: u64) -> i64 {
     (value >> 1) as i64 ^ -((value & 1) as i64)
 }
 
+const SIGN: u64 = 1 << 63;
+/// Distances of a solution with velocity: three of each covariance, two of dilutions of precision.
+const DISTANCES: usize = 8;
+
+/// Maps the bits of an `f64` to an integer with the same order.
+const fn ordered(bits: u64) -> u64 {
+    if bits & SIGN == 0 { bits | SIGN } else { !bits }
+}
+
+/// The inverse of [`ordered`].
+const fn unordered(ordered: u64) -> u64 {
+    if ordered & SIGN == 0 { !ordered } else { ordered & !SIGN }
+}
+
+/// Distance of an `f64` from another one in the order of all `f64`, small if they are close to each
+/// other. Both are given by their bits.
+pub(super) const fn distance(bits: u64, from: u64) -> u64 {
+    zigzag(ordered(bits).wrapping_sub(ordered(from)) as i64)
+}
+
+/// The bits of the `f64` at this [`distance`] from another one.
+pub(super) const fn at_distance(from: u64, distance: u64) -> u64 {
+    unordered(ordered(from).wrapping_add(unzigzag(distance) as u64))
+}
+
+/// The bits of an expected value. NaN is replaced, because its bits depend on the processor.
+fn expected_bits(expected: f64) -> u64 {
+    if expected.is_nan() { 0 } else { expected.to_bits() }
+}
+
 /// A value in thousandths, if it is a whole number of them.
 pub(super) fn thousandths(value: f64) -> Option<i64> {
     let scaled = value * 1e3;
@@ -43,27 +73,34 @@ pub(super) struct Encoder {
     bytes: Vec<u8>,
     /// The `f64` values, if they are kept apart from everything else.
     floats: Option<Vec<u8>>,
+    /// Distances of values from expected ones, if they are written so.
+    distances: Option<Vec<u64>>,
 }
 
 impl Encoder {
     pub(super) fn new(version: u8, capacity: usize) -> Self {
         let mut bytes = Vec::with_capacity(capacity);
         bytes.push(version);
-        Self { bytes, floats: None }
+        Self { bytes, floats: None, distances: None }
     }
 
-    /// An encoder without version that keeps `f64` apart, for [`Self::parts`].
-    pub(super) fn in_parts(capacity: usize) -> Self {
-        Self { bytes: Vec::with_capacity(capacity), floats: Some(Vec::with_capacity(capacity)) }
+    /// An encoder without version that keeps `f64` apart, and also distances if they are asked for,
+    /// for [`Self::parts`].
+    pub(super) fn in_parts(capacity: usize, with_distances: bool) -> Self {
+        Self {
+            bytes: Vec::with_capacity(capacity),
+            floats: Some(Vec::with_capacity(capacity)),
+            distances: with_distances.then(|| Vec::with_capacity(DISTANCES)),
+        }
     }
 
     pub(super) fn finish(self) -> Vec<u8> {
         self.bytes
     }
 
-    /// The bytes of everything but the `f64` values, and the bytes of the `f64` values.
-    pub(super) fn parts(self) -> (Vec<u8>, Vec<u8>) {
-        (self.bytes, self.floats.unwrap_or_default())
+    /// The bytes of everything else, the bytes of the `f64` values, and the distances.
+    pub(super) fn parts(self) -> (Vec<u8>, Vec<u8>, Option<Vec<u64>>) {
+        (self.bytes, self.floats.unwrap_or_default(), self.distances)
     }
 
     pub(super) fn slice(&mut self, bytes: &[u8]) {
@@ -92,6 +129,15 @@ impl Encoder {
 
     pub(super) fn f64(&mut self, value: f64) {
         self.floats.as_mut().unwrap_or(&mut self.bytes).extend_from_slice(&value.to_le_bytes());
+    }
+
+    /// A value that the reader expects to be close to `expected`: its distance, if distances are
+    /// kept.
+    pub(super) fn f64_near(&mut self, value: f64, expected: f64) {
+        match &mut self.distances {
+            Some(distances) => distances.push(distance(value.to_bits(), expected_bits(expected))),
+            None => self.f64(value),
+        }
     }
 
     pub(super) fn optional_f64(&mut self, value: Option<f64>) {
@@ -140,15 +186,21 @@ impl Encoder {
         vector.iter().for_each(|value| self.f64(*value));
     }
 
-    /// A covariance: only its upper triangle if the lower one has the same bits.
+    /// A covariance: its upper triangle and the distances of the lower one from it. Without
+    /// distances the lower triangle is left out if it has the same bits.
     pub(super) fn covariance(&mut self, matrix: &Matrix3<f64>) {
         let same = |(i, j): (usize, usize)| matrix[(i, j)].to_bits() == matrix[(j, i)].to_bits();
-        let symmetric = [(0, 1), (0, 2), (1, 2)].into_iter().all(same);
-        self.u8(u8::from(symmetric));
+        let mut has_lower = true;
+        if self.distances.is_none() {
+            has_lower = ![(0, 1), (0, 2), (1, 2)].into_iter().all(same);
+            self.u8(u8::from(!has_lower));
+        }
         for row in 0..3 {
             for column in 0..3 {
-                if !symmetric || row <= column {
+                if row <= column {
                     self.f64(matrix[(row, column)]);
+                } else if has_lower {
+                    self.f64_near(matrix[(row, column)], matrix[(column, row)]);
                 }
             }
         }
@@ -161,6 +213,8 @@ pub(super) struct Decoder<'a> {
     offset: usize,
     /// The unread `f64` values, if they are kept apart.
     floats: Option<&'a [u8]>,
+    /// The unread distances, if there are any.
+    distances: Option<&'a [u64]>,
 }
 
 impl<'a> Decoder<'a> {
@@ -174,20 +228,25 @@ impl<'a> Decoder<'a> {
 
     /// For an encoding with several versions: also returns the version, 1 to `newest`.
     pub(super) fn of_versions(bytes: &'a [u8], newest: u8) -> Result<(Self, u8), CodecError> {
-        let mut decoder = Self { bytes, offset: 0, floats: None };
+        let mut decoder = Self { bytes, offset: 0, floats: None, distances: None };
         match decoder.u8()? {
             found if (1..=newest).contains(&found) => Ok((decoder, found)),
             found => Err(CodecError::UnknownVersion { version: found }),
         }
     }
 
-    /// Reads both parts that [`Encoder::parts`] returned.
-    pub(super) const fn of_parts(bytes: &'a [u8], floats: &'a [u8]) -> Self {
-        Self { bytes, offset: 0, floats: Some(floats) }
+    /// Reads the parts that [`Encoder::parts`] returned.
+    pub(super) const fn of_parts(
+        bytes: &'a [u8],
+        floats: &'a [u8],
+        distances: Option<&'a [u64]>,
+    ) -> Self {
+        Self { bytes, offset: 0, floats: Some(floats), distances }
     }
 
     pub(super) fn finish(self) -> Result<(), CodecError> {
-        match self.bytes.len() - self.offset + self.floats.map_or(0, <[u8]>::len) {
+        let apart = self.floats.map_or(0, <[u8]>::len) + self.distances.map_or(0, <[u64]>::len);
+        match self.bytes.len() - self.offset + apart {
             0 => Ok(()),
             extra => Err(CodecError::TrailingBytes { extra }),
         }
@@ -283,6 +342,15 @@ impl<'a> Decoder<'a> {
         Ok(f64::from_le_bytes(bytes.try_into().expect("eight bytes were taken")))
     }
 
+    /// A value that was written as close to `expected`.
+    pub(super) fn f64_near(&mut self, expected: f64) -> Result<f64, CodecError> {
+        let Some(distances) = &mut self.distances else { return self.f64() };
+        let (distance, rest) =
+            distances.split_first().ok_or(CodecError::Truncated { offset: self.offset })?;
+        *distances = rest;
+        Ok(f64::from_bits(at_distance(expected_bits(expected), *distance)))
+    }
+
     pub(super) fn optional_f64(&mut self) -> Result<Option<f64>, CodecError> {
         if self.flag("presence")? { self.f64().map(Some) } else { Ok(None) }
     }
@@ -353,13 +421,14 @@ impl<'a> Decoder<'a> {
     }
 
     pub(super) fn covariance(&mut self) -> Result<Matrix3<f64>, CodecError> {
-        let symmetric = self.flag("symmetry")?;
+        let has_lower = self.distances.is_some() || !self.flag("symmetry")?;
         let mut matrix = Matrix3::zeros();
         for row in 0..3 {
             for column in 0..3 {
-                matrix[(row, column)] = match symmetric && column < row {
-                    true => matrix[(column, row)],
-                    false => self.f64()?,
+                matrix[(row, column)] = match (row <= column, has_lower) {
+                    (true, _) => self.f64()?,
+                    (false, true) => self.f64_near(matrix[(column, row)])?,
+                    (false, false) => matrix[(column, row)],
                 };
             }
         }
@@ -404,7 +473,35 @@ mod tests {
         assert_eq!(error, CodecError::Invalid { what: "integer", offset: 11 });
     }
 
+    /// An asymmetry of one ulp is the distance 1, which the sign makes 2.
+    #[test]
+    fn a_covariance_has_distances_from_its_upper_triangle() {
+        let mut matrix = Matrix3::new(4.0, 1.0, 0.5, 1.0, 9.0, -0.25, 0.5, -0.25, 1.0);
+        matrix[(1, 0)] = f64::from_bits(1.0_f64.to_bits() + 1);
+        let mut encoder = Encoder::in_parts(0, true);
+        encoder.covariance(&matrix);
+        let (bytes, floats, distances) = encoder.parts();
+        assert_eq!((bytes.len(), floats.len()), (0, 6 * 8));
+        assert_eq!(distances.as_deref(), Some(&[2, 0, 0][..]));
+        let mut decoder = Decoder::of_parts(&bytes, &floats, distances.as_deref());
+        assert_eq!(decoder.covariance(), Ok(matrix));
+        decoder.finish().unwrap();
+    }
+
     proptest! {
+        #[test]
+        fn the_order_is_that_of_values(a: f64, b: f64) {
+            prop_assume!(!a.is_nan() && !b.is_nan());
+            let (first, second) = (ordered(a.to_bits()), ordered(b.to_bits()));
+            prop_assert_eq!(first.cmp(&second), a.total_cmp(&b));
+        }
+
+        #[test]
+        fn a_value_is_found_at_its_distance(bits: u64, from: u64) {
+            prop_assert_eq!(at_distance(from, distance(bits, from)), bits);
+            prop_assert_eq!(distance(from, from), 0);
+        }
+
         #[test]
         fn integers(value: i64) {
             prop_assert_eq!(round_trip(|e| e.signed(value), |d| d.signed()), value);

@@ -1,12 +1,13 @@
 //! Solutions as bytes.
 //!
-//! Layouts 6 and 7 omit what the columns of a row contain: the time, the position, and a reference
+//! Layouts 8 and 9 omit what the columns of a row contain: the time, the position, and a reference
 //! to the program's version and the configuration. A position that a column would not return bit by
-//! bit is in the bytes. Layout 6 is whole; layout 7 is a revision relative to the first answer of
+//! bit is in the bytes. Layout 8 is whole; layout 9 is a revision relative to the first answer of
 //! its epoch (see `parts`).
 //!
-//! Earlier layouts can still be read. In layout 5 the two parts are mixed, and up to layout 4 the
-//! bytes contain everything.
+//! Earlier layouts can still be read. Layouts 6 and 7 are like 8 and 9, but without distances: they
+//! contain all values, and say of each covariance whether it is symmetric. In layout 5 the parts
+//! are mixed, and up to layout 4 the bytes contain everything.
 
 use nalgebra::Vector3;
 
@@ -22,10 +23,13 @@ use super::columns::{SolutionColumns, solution_columns, status_number};
 use super::lists::{decode_issues, decode_satellites, encode_issues, encode_satellites};
 use super::parts::{self, Parts};
 
-const WHOLE: u8 = 6;
+const WHOLE: u8 = 8;
 /// The newest layout. Layout 1 had no relative estimate, layout 2 no base epoch, layout 3 no
 /// protection levels.
-const RELATIVE: u8 = 7;
+const RELATIVE: u8 = 9;
+/// Without distances.
+const FORMER_WHOLE: u8 = 6;
+const FORMER_RELATIVE: u8 = 7;
 /// The first layout that needs the columns, and that writes lists in bits.
 const WITH_COLUMNS: u8 = 5;
 
@@ -49,7 +53,7 @@ pub(in crate::store) fn encode_solution(solution: &Solution) -> Vec<u8> {
 pub(in crate::store) fn encode_revision(solution: &Solution, first: &[u8]) -> Vec<u8> {
     let own = parts_of(solution);
     let whole = whole(&own);
-    let Ok(first) = whole_parts(first) else { return whole };
+    let Ok(first) = whole_parts(first, WHOLE) else { return whole };
     let mut out = Encoder::new(RELATIVE, whole.len());
     parts::encode_relative(&mut out, &own, &first);
     let relative = out.finish();
@@ -58,22 +62,26 @@ pub(in crate::store) fn encode_revision(solution: &Solution, first: &[u8]) -> Ve
 
 /// Whether an encoded solution is relative to the first answer of its epoch.
 pub(in crate::store) fn is_relative(bytes: &[u8]) -> bool {
-    bytes.first() == Some(&RELATIVE)
+    bytes.first().is_some_and(|layout| [FORMER_RELATIVE, RELATIVE].contains(layout))
 }
 
 fn whole(parts: &Parts<'_>) -> Vec<u8> {
-    let mut out = Encoder::new(WHOLE, 4 + parts.bytes.len() + parts.floats.len());
+    let mut out = Encoder::new(WHOLE, 16 + parts.bytes.len() + parts.floats.len());
     parts::encode_whole(&mut out, parts);
     out.finish()
 }
 
-/// The parts of a solution in layout 6.
-fn whole_parts(bytes: &[u8]) -> Result<Parts<'_>, CodecError> {
-    parts::decode_whole(&mut Decoder::new(bytes, WHOLE)?)
+/// The parts of a solution in this layout, which is whole.
+fn whole_parts(bytes: &[u8], layout: u8) -> Result<Parts<'_>, CodecError> {
+    parts::decode_whole(&mut Decoder::new(bytes, layout)?, has_distances(layout))
+}
+
+const fn has_distances(layout: u8) -> bool {
+    WHOLE <= layout
 }
 
 fn parts_of(solution: &Solution) -> Parts<'static> {
-    let mut out = Encoder::in_parts(320);
+    let mut out = Encoder::in_parts(320, true);
     encode_content(&mut out, solution);
     Parts::of(out)
 }
@@ -123,12 +131,19 @@ fn encode_estimate(out: &mut Encoder, estimate: &SolutionEstimate, time: GpsTime
     }
     out.signed(estimate.reception_time.as_ns().wrapping_sub(time.as_ns()));
     let Dops { gdop, pdop, hdop, vdop, tdop } = estimate.dops;
-    [gdop, pdop, hdop, vdop, tdop].into_iter().for_each(|dop| out.f64(dop));
+    [gdop, pdop, hdop].into_iter().for_each(|dop| out.f64(dop));
+    out.f64_near(vdop, other_dop(pdop, hdop));
+    out.f64_near(tdop, other_dop(gdop, pdop));
     encode_satellites(out, &estimate.satellites_used);
     out.u8(u8::from(estimate.relative.is_some()));
     if let Some(relative) = &estimate.relative {
         encode_relative(out, relative);
     }
+}
+
+/// The dilution of precision c of a² = b² + c².
+fn other_dop(a: f64, b: f64) -> f64 {
+    (a * a - b * b).sqrt()
 }
 
 fn encode_relative(out: &mut Encoder, relative: &RelativeEstimate) {
@@ -231,17 +246,19 @@ pub(in crate::store) fn decode_solution(
     first: Option<&[u8]>,
 ) -> Result<DecodedSolution, CodecError> {
     let (mut input, layout) = Decoder::of_versions(bytes, RELATIVE)?;
+    let has_distances = has_distances(layout);
     let parts = match layout {
-        RELATIVE => {
-            let first = whole_parts(first.ok_or(CodecError::ReferenceMissing)?)?;
-            let parts = parts::decode_relative(&mut input, &first)?;
+        FORMER_RELATIVE | RELATIVE => {
+            let whole = if has_distances { WHOLE } else { FORMER_WHOLE };
+            let first = whole_parts(first.ok_or(CodecError::ReferenceMissing)?, whole)?;
+            let parts = parts::decode_relative(&mut input, &first, has_distances)?;
             input.finish()?;
             parts
         }
-        WHOLE => parts::decode_whole(&mut input)?,
+        FORMER_WHOLE | WHOLE => parts::decode_whole(&mut input, has_distances)?,
         _ => return decode_content(input, layout, columns),
     };
-    decode_content(Decoder::of_parts(&parts.bytes, &parts.floats), layout, columns)
+    decode_content(parts.decoder(), layout, columns)
 }
 
 fn decode_content(
@@ -346,19 +363,20 @@ fn decode_estimate(
             true => input.time()?,
             false => GpsTime::from_ns(columns.time.as_ns().wrapping_add(input.signed()?)),
         },
-        dops: Dops {
-            gdop: input.f64()?,
-            pdop: input.f64()?,
-            hdop: input.f64()?,
-            vdop: input.f64()?,
-            tdop: input.f64()?,
-        },
+        dops: decode_dops(input)?,
         satellites_used: decode_list(input, layout)?,
         relative: match 2 <= layout && input.flag("relative estimate")? {
             true => Some(decode_relative(input)?),
             false => None,
         },
     })
+}
+
+fn decode_dops(input: &mut Decoder<'_>) -> Result<Dops, CodecError> {
+    let (gdop, pdop, hdop) = (input.f64()?, input.f64()?, input.f64()?);
+    let vdop = input.f64_near(other_dop(pdop, hdop))?;
+    let tdop = input.f64_near(other_dop(gdop, pdop))?;
+    Ok(Dops { gdop, pdop, hdop, vdop, tdop })
 }
 
 fn decode_relative(input: &mut Decoder<'_>) -> Result<RelativeEstimate, CodecError> {
@@ -535,7 +553,35 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
-        /// Layout 5 differs from layout 6 only in that the `f64` values are not apart.
+        /// Layouts 6 and 7 have no distances.
+        #[test]
+        fn layouts_6_and_7_are_read(first in sample::solution(), revision in sample::solution()) {
+            let former_parts = |solution: &Solution| {
+                let mut out = Encoder::in_parts(0, false);
+                encode_content(&mut out, solution);
+                Parts::of(out)
+            };
+            let (first_parts, parts) = (former_parts(&first), former_parts(&revision));
+            let mut out = Encoder::new(FORMER_WHOLE, 0);
+            parts::encode_whole(&mut out, &first_parts);
+            let whole = out.finish();
+            let read = decode_solution(&whole, solution_columns(&first), None).unwrap();
+            prop_assert_eq!(format!("{:?}", read.solution), format!("{first:?}"));
+            let mut out = Encoder::new(FORMER_RELATIVE, 0);
+            parts::encode_relative(&mut out, &parts, &first_parts);
+            let relative = out.finish();
+            prop_assert!(is_relative(&relative));
+            let columns = solution_columns(&revision);
+            let read = decode_solution(&relative, columns, Some(&whole)).unwrap();
+            prop_assert_eq!(format!("{:?}", read.solution), format!("{revision:?}"));
+            // A revision of the present layout has a first answer of the present layout.
+            let present = encode_revision(&revision, &whole);
+            prop_assert!(!is_relative(&present));
+            let read = decode_solution(&present, columns, None).unwrap();
+            prop_assert_eq!(format!("{:?}", read.solution), format!("{revision:?}"));
+        }
+
+        /// In layout 5 the `f64` values are not apart, and there are no distances.
         #[test]
         fn layout_5_is_read(solution in sample::solution()) {
             let mut out = Encoder::new(WITH_COLUMNS, 0);
