@@ -257,9 +257,12 @@ fn bring_satellites_together(observations: &mut [Observation]) {
     observations.sort_by_key(|observation| first[&observation.satellite]);
 }
 
-/// Whether the observations of each satellite are consecutive. There are few satellites, so a
-/// linear search is faster than a table.
+/// Whether the observations of each satellite are consecutive. Most receivers send satellites in
+/// their order. Otherwise there are few satellites, so a linear search is faster than a table.
 fn are_together(observations: &[Observation]) -> bool {
+    if observations.is_sorted_by_key(|observation| observation.satellite) {
+        return true;
+    }
     let mut satellites: Vec<SatelliteId> = Vec::with_capacity(64);
     for observation in observations {
         let satellite = observation.satellite;
