@@ -10,7 +10,7 @@ use std::hint::black_box;
 use divan::{Bencher, counter::ItemsCount};
 use graphfix::graph::{
     AnnealedKernel, BorderLife, Covariances, Elimination, Estimate, Kernel, Link, OptimizerOptions,
-    Phase, Prior, Problem, Row, Schedule, System, Workspace, optimize,
+    Prior, Problem, Row, Schedule, System, Widening, Workspace, optimize,
 };
 use nalgebra::{SMatrix, SVector, Vector3};
 
@@ -120,8 +120,8 @@ impl Window {
 }
 
 impl Problem<S> for Window {
-    fn linearize(&mut self, estimate: &Estimate<S>, phase: Phase, system: &mut System<S>) {
-        let kernel = self.kernel.at(phase);
+    fn linearize(&mut self, estimate: &Estimate<S>, widening: Widening, system: &mut System<S>) {
+        let kernel = self.kernel.at(widening);
         self.prior.add_to(0, estimate, system);
         for (k, state) in estimate.states.iter().enumerate() {
             self.add_readings(k, state, &kernel, system);
@@ -160,7 +160,7 @@ impl Causal {
     fn forget_oldest(&mut self) {
         let Self { window, estimate, oldest: (system, elimination), .. } = self;
         system.reset(2, 0);
-        let kernel = window.kernel.at(Phase::Graduated(1.0));
+        let kernel = window.kernel.at(Widening::Final(1.0));
         window.prior.add_to(0, estimate, system);
         window.add_readings(0, &estimate.states[0], &kernel, system);
         Window::add_links(0, &estimate.states, system);
@@ -237,7 +237,7 @@ fn linearize_window(bencher: Bencher) {
     let mut system = System::new(BorderLife::WholeChain);
     bencher.bench_local(|| {
         system.reset(WINDOW, 0);
-        window.linearize(black_box(&estimate), Phase::Convex, &mut system);
+        window.linearize(black_box(&estimate), Widening::Convex, &mut system);
     });
 }
 
@@ -248,7 +248,7 @@ fn factor_and_solve_window(bencher: Bencher) {
     let mut system = System::new(BorderLife::WholeChain);
     let mut elimination = Elimination::new();
     system.reset(WINDOW, 0);
-    window.linearize(&estimate, Phase::Convex, &mut system);
+    window.linearize(&estimate, Widening::Convex, &mut system);
     bencher.bench_local(|| {
         elimination.factor(black_box(&system), 0.0).expect("determined");
         elimination.solve(&mut estimate);
@@ -262,7 +262,7 @@ fn covariances(bencher: Bencher, which: &str) {
     let mut system = System::new(BorderLife::WholeChain);
     let (mut elimination, mut covariances) = (Elimination::new(), Covariances::new());
     system.reset(WINDOW, 0);
-    window.linearize(&estimate, Phase::Convex, &mut system);
+    window.linearize(&estimate, Widening::Convex, &mut system);
     elimination.factor(&system, 0.0).expect("determined");
     let mut states = Vec::new();
     bencher.bench_local(|| match which {

@@ -157,8 +157,8 @@ pub fn solution(presented: &Presented<'_>, stored: Stored<'_>) -> v1::Solution {
     }
 }
 
-/// The name of a satellite, such as `G05`. An answer has some sixty of them, and the formatter takes
-/// more than twice as many instructions.
+/// The name of a satellite, such as `G05`. An answer has some sixty of them, and the formatter
+/// takes more than twice as many instructions.
 fn name(SatelliteId { constellation, number }: SatelliteId) -> String {
     let digit = |digit: u8| char::from(b'0' + digit);
     let mut name = String::with_capacity(3);

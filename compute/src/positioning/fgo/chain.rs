@@ -218,25 +218,19 @@ impl Chain {
             scratch.is_start_precise = is_precise(interval_s, follows, options.horizontal_walk_m_s);
         }
         let clock_m = self.start_clocks(&mut guess, scratch);
-        let factors = &mut scratch.factors;
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
+            let factors = &mut scratch.factors;
             factors.tie = Some(self.tie(interval_s, clock_m, setup));
             factors.phase_clock =
                 setup.learns.then(|| self.receiver.phase_against_pseudorange(interval_s));
             if options.phase {
-                let (list, sigma_m) = (&measurements.list, options.phase_sigma_m);
-                let phases = &mut factors.phases;
-                self.phases.differences(list, sigma_m, interval_s, phases);
-                let (sights, states) = (&factors.sights, [before, &guess]);
-                self.phases.follow_clock(sights, states, phases, &mut scratch.clock);
-                let scale = if setup.learns { self.receiver.phase_scale() } else { 1.0 };
-                phases.iter_mut().for_each(|phase| phase.inverse_sigma /= scale);
+                self.add_phases(interval_s, [before, &guess], &measurements.list, setup, scratch);
             }
         }
+        let factors = &mut scratch.factors;
         if let Some(odometry) = &measurements.odometry {
             self.add_odometry(factors, odometry, interval_s, receiver);
         }
-        let factors = &mut scratch.factors;
         let mut share = match setup.learns {
             true => self.receiver.independent_share(spacing_s),
             false => (spacing_s / options.independence_s).min(1.0),
@@ -271,6 +265,22 @@ impl Chain {
         factors.ionosphere_fallback = measurements.ionosphere_fallback;
         let border = &mut self.estimate.border;
         border.resize(border.len().max(Constellation::COUNT * (factors.slot + 1)), 0.0);
+    }
+
+    /// Adds the differences of phases between two states, `interval_s` apart.
+    fn add_phases(
+        &self,
+        interval_s: f64,
+        states: [&State; 2],
+        list: &[Measurement],
+        setup: &Setup,
+        scratch: &mut ChainScratch,
+    ) {
+        let Factors { phases, sights, .. } = &mut scratch.factors;
+        self.phases.differences(list, setup.options.graph.phase_sigma_m, interval_s, phases);
+        self.phases.follow_clock(sights, states, phases, &mut scratch.clock);
+        let scale = if setup.learns { self.receiver.phase_scale() } else { 1.0 };
+        phases.iter_mut().for_each(|phase| phase.inverse_sigma /= scale);
     }
 
     /// Adds the factor of the odometry's displacement, if the displacement covers the interval.

@@ -151,8 +151,8 @@ impl ClockCoupling {
         self.last.extend(list.iter().map(Kept::of));
     }
 
-    /// Prior of the step of the pseudoranges' clock against the integral of the Doppler's drift over
-    /// `interval_s`.
+    /// Prior of the step of the pseudoranges' clock over `interval_s`, against the integral of the
+    /// Doppler's drift.
     pub(super) fn pseudorange_against_doppler(&self, interval_s: f64) -> ClockStepPrior {
         self.pseudorange_minus_doppler.tie(interval_s)
     }

@@ -168,8 +168,8 @@ impl ReceiverModel {
         self.phase.value()
     }
 
-    /// Prior of the step of the pseudoranges' clock against the integral of the Doppler's drift over
-    /// `interval_s`.
+    /// Prior of the step of the pseudoranges' clock over `interval_s`, against the integral of the
+    /// Doppler's drift.
     pub(super) fn pseudorange_against_doppler(&self, interval_s: f64) -> ClockStepPrior {
         self.clocks.pseudorange_against_doppler(interval_s)
     }

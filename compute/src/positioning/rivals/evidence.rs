@@ -266,8 +266,8 @@ impl<'a> Evidence<'a> {
         *clocks[..count.max(1)].select_nth_unstable_by(count / 2, f64::total_cmp).1
     }
 
-    /// Minimises the cost from `x` over the `free` unknowns by expectation maximisation. Ends early,
-    /// with false, at a position that is not `accepted`.
+    /// Minimises the cost from `x` over the `free` unknowns by expectation maximisation. Ends early
+    /// and returns false at a position that is not `accepted`.
     fn descend(
         &self,
         x: &mut Unknowns,

@@ -70,8 +70,8 @@ impl PseudorangeWatch {
         }
         let pool = self.pooled(now);
         let unproven_s = (!self.is_proven).then(|| self.watch.age_s(now));
-        // A restart costs all ambiguities. The float follows pseudoranges to a near position without
-        // one, and its offsets between receivers are those of each epoch.
+        // A restart costs all ambiguities. The float follows pseudoranges to a near position
+        // without one, and its offsets between receivers are those of each epoch.
         match self.watch.judge(now, &pool, unproven_s, Scope::Apart) {
             Verdict::Proven => self.is_proven = true,
             Verdict::Open => {}
