@@ -10,8 +10,8 @@ use nalgebra::DMatrix;
 
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
-use crate::lambda::{Options, Outcome, Partial, Resolver};
-use crate::positioning::rtk::observed::{Arcs, CarrierArc, KnownNoise};
+use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver};
+use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
 use super::acceptance::{lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
@@ -66,7 +66,7 @@ pub(crate) struct IntegerQuestion<'a> {
     /// Only arcs with a phase at this time.
     pub(crate) time: GpsTime,
     pub(crate) float: &'a FloatSolution,
-    pub(crate) noise: KnownNoise,
+    pub(crate) noise: KnownScale,
     pub(crate) options: &'a RtkOptions,
 }
 
@@ -74,8 +74,6 @@ pub(crate) struct IntegerQuestion<'a> {
 #[derive(Clone, Copy, Debug)]
 struct Judgement<'a> {
     options: &'a Options,
-    /// Divisor of the odds of new integers.
-    odds_divisor: f64,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
     /// Whether enough epochs in a row have found confirmed integers, so that these are held.
@@ -135,10 +133,10 @@ impl IntegerSearch {
             return self.refused(Reason::TooFewCommonSatellites { used, needed });
         }
         let joint = self.differences.joint(float);
-        let lambda = lambda_options(options, noise.scale);
+        let lambda = lambda_options(options, noise);
         let are_held = is_confirmed && options.hold_epochs <= hold.epochs_in_a_row;
-        let (odds_divisor, hold_epochs) = (noise.odds_divisor, options.hold_epochs);
-        let judgement = Judgement { options: &lambda, odds_divisor, hold_epochs, are_held };
+        let hold_epochs = options.hold_epochs;
+        let judgement = Judgement { options: &lambda, hold_epochs, are_held };
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         let of_held = Judgement { options: &held, ..judgement };
         if are_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
@@ -265,7 +263,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, odds_divisor, are_held, .. } = *judgement;
+        let Judgement { options, are_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -278,8 +276,7 @@ impl IntegerSearch {
                 continue;
             }
             resolution.outcome = Err(Reason::FixRejected);
-            let stated =
-                bonferroni(odds_divisor * tried as f64, outcome.probability.unwrap_or(0.0));
+            let stated = bonferroni(tried, outcome.probability.unwrap_or(0.0));
             let Some(rest) = self.condition_on_found(joint, &wanted) else { continue };
             let probability = given_unfixed_ambiguities(stated, &rest);
             if probability < options.probability_min {

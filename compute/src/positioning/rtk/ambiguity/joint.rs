@@ -72,8 +72,8 @@ pub(crate) fn scale_odds(factor: f64, probability: f64) -> f64 {
 
 /// The probability of integers that were the first of `tried` subsets to pass. Each subset may pass
 /// by chance: Bonferroni's bound on the odds.
-pub(crate) fn bonferroni(tried: f64, probability: f64) -> f64 {
-    probability / (probability + tried.max(1.0) * (1.0 - probability))
+pub(crate) fn bonferroni(tried: usize, probability: f64) -> f64 {
+    probability / (probability + tried.max(1) as f64 * (1.0 - probability))
 }
 
 /// The probability of integers given the ambiguities left float.
@@ -183,8 +183,8 @@ mod tests {
 
     #[test]
     fn more_tries_are_more_chances_to_be_wrong() {
-        assert_eq!(bonferroni(1.0, 0.9), 0.9);
-        assert!((bonferroni(9.0, 0.9) - 0.5).abs() < 1e-12);
-        assert_eq!(bonferroni(5.0, 1.0), 1.0);
+        assert_eq!(bonferroni(1, 0.9), 0.9);
+        assert!((bonferroni(9, 0.9) - 0.5).abs() < 1e-12);
+        assert_eq!(bonferroni(5, 1.0), 1.0);
     }
 }

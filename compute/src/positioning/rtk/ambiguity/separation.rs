@@ -38,7 +38,7 @@ impl IntegerSearch {
         }
         if !held.are_of(differences.pairs.iter()) {
             let (joint, all) = (differences.joint(float), differences.which(|_| true));
-            let lambda = lambda_options(options, question.noise.scale);
+            let lambda = lambda_options(options, question.noise);
             held.load(&differences.pairs, &all, &joint, &lambda)?;
         }
         Some(Separator { search: self, arcs, question })
@@ -58,7 +58,7 @@ impl Separator<'_> {
         let groups = references.into_iter().filter(|&reference| is_left_out(reference));
         let of =
             |reference| (0..pairs.len()).filter(|&i| pairs[i].reference == reference).collect();
-        let lambda = lambda_options(options, noise.scale);
+        let lambda = lambda_options(options, noise);
         let held = &mut self.search.held;
         let found = held.without(entries.chain(groups.map(of)), &lambda)?;
         let log_evidence = found.log_evidence - held.log_evidence();

@@ -25,7 +25,7 @@ pub(crate) use epoch::{
 };
 pub(crate) use half_cycles::half_cycle_step;
 pub(crate) use losses::{Losses, MORE_LIKELY, Tracked};
-pub(crate) use noise::{FREEDOM_LEAST, KnownNoise, Residuals};
+pub(crate) use noise::{FREEDOM_LEAST, Residuals};
 pub(crate) use receivers::Receivers;
 pub(crate) use residuals::{carrier_residuals, whitened, window_residuals};
 pub(crate) use rivals::{Judged, PseudorangeWatch};

@@ -37,14 +37,6 @@ impl Residuals {
     pub(crate) const NONE: Self = Self { square: 0.0, freedom: 0.0 };
 }
 
-/// Noise parameters of the integer search.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct KnownNoise {
-    pub(crate) scale: KnownScale,
-    /// Divisor of the odds of integers.
-    pub(crate) odds_divisor: f64,
-}
-
 /// Ratio of observed to a-priori standard deviation, and its variance over time.
 ///
 /// Receivers differ by a factor of five at the same C/N0. m = 1.4826·median∣s∣, with s the whitened
@@ -75,23 +67,13 @@ impl NoiseScale {
         Self { value: 1.0, learnt: 0.0, mean: 1.0, excess: EXCESS_PRIOR }
     }
 
-    /// Divisor of the odds of integers. Noise above the a-priori noise comes from multipath, whose
-    /// errors are neither normal nor independent from epoch to epoch.
-    ///
-    /// The power was fitted in the simulated street canyon. Of fixes with a stated probability of
-    /// 80 to 90, 90 to 95 and 95 to 98 %, 38, 30 and 28 % are wrong without this divisor, 21, 13
-    /// and 11 % with it.
-    fn odds_divisor(&self) -> f64 {
-        self.value.powi(5).max(1.0)
-    }
-
     /// The scale, updated with the residuals of the epochs in the solution. Residuals below the
-    /// a-priori noise lower it; larger ones count in [`Self::odds_divisor`].
-    pub(crate) fn known(&self, residuals: &Residuals) -> KnownNoise {
+    /// a-priori noise lower it. Larger ones do not raise it: the learnt factor has already widened
+    /// the variances of the float ambiguities.
+    pub(crate) fn known(&self, residuals: &Residuals) -> KnownScale {
         let freedom = self.freedom() + residuals.freedom;
         let variance = (self.freedom() + residuals.square) / freedom;
-        let scale = KnownScale { freedom, variance: variance.min(1.0) };
-        KnownNoise { scale, odds_divisor: self.odds_divisor() }
+        KnownScale { freedom, variance: variance.min(1.0) }
     }
 
     /// Degrees of freedom ν of the scale.
@@ -163,11 +145,11 @@ mod tests {
     #[test]
     fn residuals_tell_the_scale() {
         let noise = NoiseScale::stated();
-        let known = noise.known(&Residuals { square: 5.0, freedom: 15.0 }).scale;
+        let known = noise.known(&Residuals { square: 5.0, freedom: 15.0 });
         assert_eq!((known.freedom, known.variance), (20.0, 0.5));
-        let known = noise.known(&Residuals { square: 30.0, freedom: 15.0 }).scale;
+        let known = noise.known(&Residuals { square: 30.0, freedom: 15.0 });
         assert_eq!((known.freedom, known.variance), (20.0, 1.0));
-        let known = noise.known(&Residuals::NONE).scale;
+        let known = noise.known(&Residuals::NONE);
         assert_eq!((known.freedom, known.variance), (5.0, 1.0));
     }
 
@@ -189,7 +171,6 @@ mod tests {
             assert!(40.0 < noise.freedom(), "{noise:?}");
         }
         assert_eq!(NoiseScale::stated().freedom(), 5.0);
-        assert_eq!(NoiseScale::stated().odds_divisor(), 1.0);
         // ν = 5.
         assert!((NoiseScale::stated().variance_factor() - 5.0 / 3.0).abs() < 1e-12);
         // (1 + 100/(5·5))^(−5/2) = 5^(−5/2); of many degrees of freedom it would be e^(−10).
@@ -197,7 +178,6 @@ mod tests {
         assert!((within - (1.0 - 5_f64.powf(-2.5))).abs() < 1e-12, "{within}");
         let doubled = learnt(std::iter::repeat_n(2.0, 200));
         assert!((doubled.value / 2.0 - 1.0).abs() < 0.15, "{doubled:?}");
-        assert_eq!(doubled.odds_divisor(), doubled.value.powi(5));
         let silent = learnt(std::iter::repeat_n(0.0, 20_000));
         assert!(silent.freedom().is_finite() && silent.excess.is_finite(), "{silent:?}");
         assert!((doubled.variance_factor() - 1.0).abs() < 0.3, "{doubled:?}");

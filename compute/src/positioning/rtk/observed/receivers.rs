@@ -2,12 +2,13 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::lambda::KnownScale;
 use crate::positioning::setup::OFFSET_KERNEL;
 use crate::snapshot::state_fields;
 
 use super::code_biases::CodeBiases;
 use super::epoch::{RowScratch, RtkEpoch, State};
-use super::noise::{KnownNoise, NoiseScale, Residuals};
+use super::noise::{NoiseScale, Residuals};
 use super::pseudorange_age::LastPseudoranges;
 use super::residuals::{leverage, pseudorange_residuals, whitened};
 
@@ -34,7 +35,7 @@ impl Receivers {
     }
 
     /// Noise scale of the pseudoranges, updated with the residuals of a solved window.
-    pub(crate) fn known_noise(&self, residuals: &Residuals) -> KnownNoise {
+    pub(crate) fn known_noise(&self, residuals: &Residuals) -> KnownScale {
         self.pseudorange_noise.known(residuals)
     }
 
