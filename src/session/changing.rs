@@ -159,15 +159,20 @@ impl Sessions {
         let stored = self.store().update_session(row.key, &row.settings, entry.as_deref()).await;
         // Even after an error, because only the answer to the commit may be lost.
         self.outdated(id, row.key);
-        if stored.is_err() && self.desk().updates_to_confirm.note(id) {
-            tokio::spawn(self.clone().look_again(id.clone(), row.key));
-        }
-        stored?;
+        stored.inspect_err(|_| self.confirm_later(id, row.key))?;
         self.info(id.clone(), row)
     }
 
-    /// Has the settings read again every second after an update that failed. The database may
-    /// still commit it: the answer to an epoch that comes meanwhile does not show this.
+    /// Has the session's task and its watches read the store again every second after an update or
+    /// a closing that failed, because the database may still commit it.
+    pub(super) fn confirm_later(&self, id: &SessionId, key: SessionKey) {
+        if self.desk().updates_to_confirm.note(id) {
+            tokio::spawn(self.clone().look_again(id.clone(), key));
+        }
+    }
+
+    /// The task of [`Self::confirm_later`]. The answer to an epoch that comes meanwhile does not
+    /// show whether the settings are stored.
     async fn look_again(self, id: SessionId, key: SessionKey) {
         loop {
             sleep(LOOK_INTERVAL).await;

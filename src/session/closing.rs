@@ -85,7 +85,10 @@ impl Sessions {
     ) -> Result<(), SessionError> {
         let _starting = self.starting(id).await;
         let row = self.row(id).await?;
+        let key = row.key;
         if row.closed_unix_ms.is_some() {
+            // The answer to the commit that closed it may have been lost.
+            self.live().publish_closed(key);
             return Ok(());
         }
         if !self.runs(id) {
@@ -99,6 +102,7 @@ impl Sessions {
         let last = Message::Close { unix_ms, entry, reply };
         handle.mailbox.send(last).await.map_err(|_| SessionError::Interrupted)?;
         drop(handle);
-        answer.await.unwrap_or(Err(SessionError::Interrupted))
+        let closed = answer.await.unwrap_or(Err(SessionError::Interrupted));
+        closed.inspect_err(|_| self.confirm_later(id, key))
     }
 }

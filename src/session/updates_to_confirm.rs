@@ -1,5 +1,5 @@
-//! Sessions whose settings are read again, because the database may still commit an update of them
-//! that failed.
+//! Sessions whose rows are read again, because the database may still commit an update or a closing
+//! of them that failed.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -15,20 +15,20 @@ const LOOKS: usize = 30;
 /// Number of reads with those that fail.
 const LOOKS_MAX: usize = 600;
 
-/// Reads since the last update that failed.
+/// Reads since the last change that failed.
 #[derive(Clone, Copy, Default)]
 struct Looks {
     answered: usize,
     all: usize,
 }
 
-/// The sessions with such an update. One task reads the settings of each.
+/// The sessions with such a change. One task reads the row of each.
 #[derive(Default)]
 pub(super) struct UpdatesToConfirm(Mutex<HashMap<SessionId, Looks>>);
 
 impl UpdatesToConfirm {
-    /// Notes an update that failed. Returns whether no task reads the settings of this session yet;
-    /// one that does begins to count again.
+    /// Notes a change that failed. Returns whether no task reads the row of this session yet; one
+    /// that does begins to count again.
     pub(super) fn note(&self, session: &SessionId) -> bool {
         let mut sessions = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.insert(session.clone(), Looks::default()).is_none()

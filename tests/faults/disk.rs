@@ -6,6 +6,7 @@ use std::process::{self, Command};
 use std::time::Duration;
 
 use sqlx::{Connection, PgConnection};
+use tokio::time::timeout;
 
 use crate::support::database::{Database, on_both_databases};
 use crate::support::failing::Failing;
@@ -50,6 +51,29 @@ async fn a_reset_that_ends_late_is_seen_by_the_next_epochs() {
     for seq in 22..=30 {
         service.push(seq).await.unwrap();
     }
+    service.finish().await;
+}
+
+/// The commit of a closing takes longer than its deadline and still ends. A watch then ends, too.
+#[tokio::test]
+async fn a_closing_that_ends_late_ends_the_watches() {
+    let database = Database::sqlite();
+    let mut service = Failing::start(&database.url).await;
+    let mut watch = service.watch().await;
+    service.push(1).await.unwrap();
+    while watch.message().await.unwrap().unwrap().solutions.is_empty() {}
+    service.set("slow 7");
+    assert_eq!(service.close().await.unwrap_err(), "DATABASE_FAILED");
+    service.set("none");
+    let last = async {
+        let mut last = None;
+        while let Some(message) = watch.message().await.unwrap() {
+            last = Some(message);
+        }
+        last
+    };
+    let last = timeout(Duration::from_secs(30), last).await.expect("the watch has not ended");
+    assert!(last.unwrap().closed);
     service.finish().await;
 }
 

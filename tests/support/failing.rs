@@ -14,6 +14,7 @@ use graphfix::grpc::v1::navigation_client::NavigationClient;
 use graphfix::grpc::v1::positioning_client::PositioningClient;
 use graphfix::grpc::v1::sessions_client::SessionsClient;
 use graphfix::grpc::v1::solutions_client::SolutionsClient;
+use tonic::Streaming;
 use tonic::transport::Channel;
 
 use super::doors::epoch;
@@ -110,6 +111,22 @@ impl Failing {
         let reset = v1::ResetSessionRequest { session: self.session.clone() };
         let answer = sessions.reset(reset).await.map(tonic::Response::into_inner);
         answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))
+    }
+
+    /// Closes the session.
+    pub(crate) async fn close(&self) -> Result<v1::Session, String> {
+        let mut sessions = SessionsClient::new(self.channel.clone());
+        let close = v1::CloseSessionRequest { session: self.session.clone() };
+        let answer = sessions.close(close).await.map(tonic::Response::into_inner);
+        answer.map_err(|status| code_of(&status).unwrap_or(status.to_string()))
+    }
+
+    /// A watch of the session's solutions.
+    pub(crate) async fn watch(&self) -> Streaming<v1::WatchSolutionsResponse> {
+        let mut solutions = SolutionsClient::new(self.channel.clone());
+        let session = self.session.clone();
+        let watch = v1::WatchSolutionsRequest { session, ..Default::default() };
+        solutions.watch(watch).await.unwrap().into_inner()
     }
 
     /// An epoch is refused in time.
