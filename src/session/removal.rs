@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 use tokio::time::{sleep, timeout};
 
 use crate::clock::{Clock, MS_PER_DAY, day_of};
-use crate::store::{Store, StoreError};
+use crate::store::{Expired, Store, StoreError};
 
 use super::SessionLimits;
 
@@ -38,8 +38,13 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(60);
 /// minute, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
     let step = async || {
-        let of_session = store.remove_deleted(EPOCHS_PER_STEP).await?;
-        Ok(of_session || store.remove_epochs_of_deleted_bases(EPOCHS_PER_STEP).await?)
+        let of_session = store.remove_deleted(EPOCHS_PER_STEP).await;
+        if matches!(of_session, Ok(true)) {
+            return of_session;
+        }
+        // Also after a failure, which may concern one session.
+        let of_base = store.remove_epochs_of_deleted_bases(EPOCHS_PER_STEP).await?;
+        if of_base { Ok(true) } else { of_session }
     };
     loop {
         let removed: Result<bool, StoreError> = step().await;
@@ -109,28 +114,50 @@ impl Expiry {
         }
     }
 
-    /// Removes them, in steps.
+    /// Removes them, in steps. After a failure it goes on with what does not depend on it.
+    ///
+    /// # Errors
+    /// The first failure.
     pub(super) async fn remove(&self) -> Result<(), StoreError> {
         let mut counted_ms = self.counted_ms.lock().await;
         let today = self.today(&mut counted_ms).await?;
+        let epochs = self.remove_epochs(today).await;
+        let audit = self.remove_audit(today).await;
+        let history = self.remove_history(today).await;
+        let pages = self.release_pages().await;
+        epochs.and(audit).and(history).and(pages)
+    }
+
+    /// Removes the epochs that are older than their retention on this day.
+    async fn remove_epochs(&self, today: i64) -> Result<(), StoreError> {
         let (store, retention_days) = (&self.store, self.retention_days);
         // Marked first, so that whole days of the log can be dropped if none of their rows is kept.
-        store.mark_expired(today, retention_days).await?;
-        store.drop_days(today, retention_days).await?;
-        loop {
+        let marked = store.mark_expired(today, retention_days).await;
+        let dropped = store.drop_days(today, retention_days).await;
+        let mut removed = Ok(());
+        while removed.is_ok() {
             let sessions = store.expired(today, retention_days).await?;
             if sessions.is_empty() {
                 break;
             }
             for expired in sessions {
-                while store.remove_expired(&expired, EPOCHS_PER_STEP).await? {
-                    sleep(PAUSE).await;
-                }
+                removed = removed.and(self.remove_expired(&expired).await);
             }
         }
-        self.remove_audit(today).await?;
-        self.remove_history(today).await?;
-        while store.release_pages().await? {
+        marked.and(dropped).and(removed)
+    }
+
+    /// Removes the epochs of a session that are older than their retention.
+    async fn remove_expired(&self, expired: &Expired) -> Result<(), StoreError> {
+        while self.store.remove_expired(expired, EPOCHS_PER_STEP).await? {
+            sleep(PAUSE).await;
+        }
+        Ok(())
+    }
+
+    /// Gives free pages back to the disk.
+    async fn release_pages(&self) -> Result<(), StoreError> {
+        while self.store.release_pages().await? {
             sleep(PAUSE).await;
         }
         Ok(())

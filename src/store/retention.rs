@@ -142,14 +142,16 @@ impl Store {
             if found.is_empty() {
                 return Ok(());
             }
+            let mut all = Ok(());
             // One at a time: a transaction that locks several heads could deadlock with a commit.
             for Expired { session, through, .. } in found {
                 let marked = writing!(&self.pool, pool => {
                     let mark = sqlx::query(MARK).bind(session.0).bind(through as i64);
                     mark.execute(pool).await.map(drop)
                 });
-                marked.map_err(StoreError::database("marking expired epochs"))?;
+                all = all.and(marked); // A failure must not keep the epochs of other sessions.
             }
+            all.map_err(StoreError::database("marking expired epochs"))?;
         }
     }
 

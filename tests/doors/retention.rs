@@ -21,6 +21,7 @@ on_both_databases!(
     a_session_has_its_own_retention,
     a_closed_session_expires,
     closed_sessions_of_which_nothing_is_left_are_noted_once,
+    a_session_that_cannot_be_removed_delays_no_other,
     a_step_of_the_clock_removes_nothing,
     what_a_slow_clock_closes_is_kept,
     a_replay_needs_a_readable_snapshot,
@@ -318,6 +319,37 @@ async fn closed_sessions_of_which_nothing_is_left_are_noted_once(database: Datab
         }
         database.execute("UPDATE sessions SET emptied = 0").await;
     }
+}
+
+/// The removal of one session fails; that of others, and of the history, goes on.
+async fn a_session_that_cannot_be_removed_delays_no_other(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let limits =
+        SessionLimits { retention_days: RETENTION, history_days: 1, ..SessionLimits::service() };
+    let sessions = Sessions::open_at(store, aiding, limits, clock.clone());
+    for _ in 0..3 {
+        let id = sessions.create(new_session()).await.unwrap().id;
+        sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
+        sessions.close(&id).await.unwrap();
+    }
+    let failing = match database.url.starts_with("sqlite") {
+        true => "BEGIN SELECT RAISE(ABORT, 'on purpose'); END",
+        false => {
+            let function = "CREATE FUNCTION refuse() RETURNS trigger LANGUAGE plpgsql AS \
+                            $$ BEGIN RAISE 'on purpose'; END $$";
+            database.execute(function).await;
+            "EXECUTE FUNCTION refuse()"
+        }
+    };
+    let condition = "FOR EACH ROW WHEN (NEW.key = 1)";
+    let trigger = "CREATE TRIGGER failing BEFORE UPDATE OF emptied ON sessions";
+    database.execute(&format!("{trigger} {condition} {failing}")).await;
+    clock.set(START + 3 * MS_PER_DAY);
+    let error = sessions.remove_expired().await.unwrap_err();
+    assert_eq!(error.code().name(), "DATABASE_FAILED");
+    assert_eq!(database.count("sessions WHERE emptied = 1").await, 2);
+    assert_eq!(database.count("rollups WHERE seconds = 3600").await, 0);
 }
 
 /// A snapshot of another version cannot be read. A replay then begins at the snapshot of the next
