@@ -90,8 +90,11 @@ const REMOVE: [&str; 2] = [
     "DELETE FROM epochs WHERE session = $1 AND seq <= $2",
 ];
 /// Removes some minutes without any remaining epoch. Hours are kept.
+///
+/// The outer condition repeats `last_seq`: a commit may have added later epochs to a minute since
+/// it was selected, and Postgres then compares the new row with the outer condition only.
 const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
-    AND begin_s IN (SELECT begin_s FROM rollups \
+    AND last_seq <= $2 AND begin_s IN (SELECT begin_s FROM rollups \
     WHERE session = $1 AND seconds = 60 AND last_seq <= $2 LIMIT $3)";
 /// Removes snapshots. The one from which the remaining epochs are replayed is kept, if there are
 /// any.

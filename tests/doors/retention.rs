@@ -11,10 +11,12 @@ use graphfix::session::{
 use graphfix::simulation::{Scenario, Simulator};
 use graphfix::store::Store;
 use serde_json::json;
+use sqlx::{Connection, PgConnection};
 
 use crate::support::database::{Database, on_both_databases, on_postgres, whole_session};
 use crate::support::doors::{Doors, code};
 use crate::support::sessions::{epoch, new_session};
+use crate::support::wait::until;
 
 on_both_databases!(
     a_store_with_retention_stays_flat,
@@ -350,6 +352,36 @@ async fn a_session_that_cannot_be_removed_delays_no_other(database: Database) {
     assert_eq!(error.code().name(), "DATABASE_FAILED");
     assert_eq!(database.count("sessions WHERE emptied = 1").await, 2);
     assert_eq!(database.count("rollups WHERE seconds = 3600").await, 0);
+}
+
+/// A minute gets epochs beyond the retention while it is removed, and stays.
+#[tokio::test]
+async fn a_minute_that_goes_on_is_not_removed() {
+    on_postgres(async |database| {
+        let (store, clock) = (database.store().await, Clock::at(START));
+        let sessions = desk(&store, &clock).await;
+        let id = sessions.create(new_session()).await.unwrap().id;
+        sessions.submit(&id, vec![epoch(1, 1.0)]).await.unwrap();
+        sessions.close(&id).await.unwrap();
+        clock.set(START + 3 * MS_PER_DAY);
+        let mut other = PgConnection::connect(&database.url).await.unwrap();
+        let mut commit = other.begin().await.unwrap();
+        let later = sqlx::query("UPDATE rollups SET last_seq = 2 WHERE seconds = 60");
+        assert_eq!(later.execute(&mut *commit).await.unwrap().rows_affected(), 1);
+        let blocked = async || {
+            let waiting = "pg_stat_activity WHERE wait_event_type = 'Lock' \
+                           AND starts_with(query, 'DELETE FROM rollups')";
+            database.count(waiting).await
+        };
+        let committing = async {
+            until("the removal waits", blocked, |count| 0 < *count).await;
+            commit.commit().await.unwrap();
+        };
+        let (removed, ()) = tokio::join!(sessions.remove_expired(), committing);
+        removed.unwrap();
+        assert_eq!(database.count("rollups WHERE seconds = 60").await, 1);
+    })
+    .await;
 }
 
 /// A snapshot of another version cannot be read. A replay then begins at the snapshot of the next
