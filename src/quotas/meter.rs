@@ -129,6 +129,12 @@ impl Meter {
         Ok(())
     }
 
+    /// Counts epochs that are taken after a check.
+    pub fn count_epochs(&self, epochs: usize) {
+        let (mut inner, now_s) = (self.lock(), self.now_s());
+        inner.epochs.add(epochs as f64, now_s);
+    }
+
     /// Admits a computation that is not stored.
     ///
     /// # Errors

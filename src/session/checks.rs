@@ -79,10 +79,10 @@ impl Sessions {
         }
     }
 
-    /// Checks a push, and counts its epochs for the tenant's quotas.
+    /// Checks a push and the tenant's quotas. Its epochs are counted when a mailbox has taken it.
     pub(super) fn admit_push(&self, epochs: &[SequencedEpoch]) -> Result<(), SessionError> {
         self.check_push(epochs)?;
-        Ok(self.meter().admit_epochs(epochs.len())?)
+        Ok(self.meter().check_epochs()?)
     }
 
     /// Checks a chunk and the tenant's quotas. Its epochs are checked again and counted when it is

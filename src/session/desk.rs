@@ -182,6 +182,7 @@ impl Sessions {
             let (reply, answer) = oneshot::channel();
             let submission = Submission { epochs, permit: None, reply: Reply::Call(reply) };
             self.send(id, &mut Some(Message::Submission(submission)), count).await?;
+            self.meter().count_epochs(count);
             Ok(Pending(answer))
         };
         posting.await.inspect_err(|_| self.counts().count_refused(count))

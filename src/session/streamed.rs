@@ -40,7 +40,7 @@ impl Sessions {
     /// A push of epochs, whose answer goes to `answers`.
     ///
     /// # Errors
-    /// There is no epoch, or there are more than in one push.
+    /// There is no epoch, there are more than in one push, or the tenant has used up a quota.
     pub(crate) fn streamed_epochs(
         &self,
         epochs: Vec<SequencedEpoch>,
@@ -55,7 +55,7 @@ impl Sessions {
     /// A push of a chunk of raw bytes, whose answer goes to `answers`.
     ///
     /// # Errors
-    /// The chunk is too large.
+    /// The chunk is too large, or the tenant has used up a quota.
     pub(crate) fn streamed_chunk(
         &self,
         chunk: RawChunk,
@@ -77,7 +77,10 @@ impl Sessions {
         id: &SessionId,
         push: &mut StreamedPush,
     ) -> Result<(), SessionError> {
-        self.send(id, &mut push.message, push.epochs).await
+        let epochs = push.known_epochs();
+        self.send(id, &mut push.message, push.epochs).await?;
+        self.meter().count_epochs(epochs);
+        Ok(())
     }
 
     /// A session, read after everything in its mailbox is committed. So no push of an earlier,

@@ -30,6 +30,7 @@ on_both_databases!(
     epochs_are_refused_by_each_quota,
     raw_bytes_that_arrive_at_once_stay_within_the_quota,
     refused_raw_bytes_count_towards_no_quota,
+    refused_epochs_count_towards_no_quota,
     files_of_jobs_are_refused_by_their_quota,
     the_operator_sets_quotas_beside_the_service,
 );
@@ -124,6 +125,31 @@ async fn epochs_are_refused_by_each_quota(database: Database) {
     assert_eq!(asked(&doors, &a, "DELETE", &purge, Value::Null).await.0, StatusCode::OK);
     let used = get(&doors, &operator, "/v1/tenants/a").await["used"].clone();
     assert_eq!(used["storedBytes"].as_u64().unwrap_or(0), 0, "{used}");
+    doors.close().await;
+}
+
+/// Epochs that no mailbox has taken leave the quota to others.
+async fn refused_epochs_count_towards_no_quota(database: Database) {
+    let doors = Doors::on(&database.url).await;
+    let operator = operator(&doors).await;
+    let a = key_of(&doors, &operator, "a", "").await;
+    let (open, closed) =
+        (session(&doors, &a, json!({})).await, session(&doors, &a, json!({})).await);
+    let close = format!("/v1/sessions/{closed}");
+    assert_eq!(asked(&doors, &a, "DELETE", &close, Value::Null).await.0, StatusCode::OK);
+    // A push uses up the quota for a minute and a half.
+    set(&doors, &operator, "a", json!({"epochsPerS": 1.0})).await;
+    let epochs: Vec<Value> = (1..=100).map(epoch).collect();
+    let push = async |session: &str| {
+        let path = format!("/v1/sessions/{session}/epochs");
+        let (_, answer) = asked(&doors, &a, "POST", &path, json!({"epochs": epochs})).await;
+        answer["code"].as_str().unwrap_or_default().to_owned()
+    };
+    for _ in 0..2 {
+        assert_eq!(push(&closed).await, "SESSION_CLOSED");
+    }
+    assert_eq!(push(&open).await, "", "taken");
+    assert_eq!(push(&closed).await, "EPOCH_QUOTA_EXCEEDED");
     doors.close().await;
 }
 
