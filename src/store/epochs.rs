@@ -50,6 +50,11 @@ impl RawEpoch {
             after: self.base_after.unwrap_or(0) as u64,
             through: self.base_through.unwrap_or(0) as u64,
         });
+        if let Some(BaseUse { after, through, .. }) = base.filter(|used| used.through < used.after)
+        {
+            let why = format!("it has used the base epochs after {after} through {through}");
+            return Err(StoreError::CorruptText { what: "epoch", why });
+        }
         let navigation = self.navigation as u64;
         Ok(StoredEpoch { epoch, solution: self.solution.parse(None)?, navigation, base })
     }
@@ -265,6 +270,21 @@ mod tests {
         sqlx::query("DELETE FROM epochs WHERE seq = 18").execute(writer).await.unwrap();
         let corrupt = store.decoded(key, read).await.unwrap_err();
         assert_eq!(corrupt.code().name(), "STORED_DATA_CORRUPT");
+    }
+
+    /// A row whose range of base epochs ends before it begins is corrupt.
+    #[tokio::test]
+    async fn an_epoch_with_a_reversed_range_of_base_epochs_is_corrupt() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let key = chains(&store).await;
+        let Pool::Sqlite { writer, .. } = &store.pool else { panic!("SQLite") };
+        let damage = "UPDATE epochs SET base = 1, base_after = 7, base_through = 5 WHERE seq = 20";
+        sqlx::query(damage).execute(writer).await.unwrap();
+        let rows = store.rows_of(key, vec![20]).await.unwrap();
+        let corrupt = store.decoded(key, rows).await.unwrap_err();
+        assert_eq!(corrupt.code().name(), "STORED_DATA_CORRUPT");
+        assert!(corrupt.to_string().contains("after 7 through 5"), "{corrupt}");
     }
 
     /// A revision whose first answer is missing is corrupt, unless both have expired.
