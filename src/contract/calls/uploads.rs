@@ -50,10 +50,12 @@ pub async fn append(
 ) -> Result<Answer, Refusal> {
     let mut appending = caller.jobs().append_upload(&upload_id(upload)?, offset).await?;
     let mut arrived = Ok(());
-    while let (Ok(()), Some(chunk)) = (&arrived, body.next().await) {
-        arrived = match chunk {
-            Ok(bytes) => appending.write(&bytes).await.map_err(Refusal::from),
-            Err(refusal) => Err(refusal),
+    // After a failure nothing is awaited from the client.
+    while arrived.is_ok() {
+        arrived = match body.next().await {
+            Some(Ok(bytes)) => appending.write(&bytes).await.map_err(Refusal::from),
+            Some(Err(refusal)) => Err(refusal),
+            None => break,
         };
     }
     let upload = appending.finish().await?;
