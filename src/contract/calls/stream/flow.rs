@@ -241,13 +241,14 @@ where
         self.ledger.keep_page(PAGE * ANSWER_BYTES)?;
         let page = self.caller.sessions().answers_after(id, after, PAGE).await;
         let SolutionPage { page, output, .. } = page.map_err(Refusal::from)?;
+        let has_more = page.next_page_token.is_some();
         let (solutions, presenter) = (page.items, self.caller.presenter(&output));
         let mut response = C::Response::default();
         for solution in solutions.iter().filter(|solution| solution.seq <= through) {
             carried.missed(solution, &presenter, &mut response);
         }
         let last = solutions.last().map(|solution| solution.seq);
-        self.phase = match last.filter(|last| *last < through && solutions.len() == PAGE) {
+        self.phase = match last.filter(|last| *last < through && has_more) {
             Some(after) => Phase::Missed { after, through },
             None => Phase::Open,
         };
