@@ -59,6 +59,8 @@ pub(super) struct ParkedState {
     carried: Carried,
     /// Expected time of an epoch on the solver.
     pub(super) epoch_time: Option<Duration>,
+    /// The last day for which a snapshot is kept, if it is known.
+    pub(super) kept_day: Option<i64>,
 }
 
 impl ParkedState {
@@ -68,7 +70,7 @@ impl ParkedState {
         (key, tenant): (SessionKey, &Tenant),
         state: &State,
         configuration: Arc<ActiveConfiguration>,
-        epoch_time: Option<Duration>,
+        (epoch_time, kept_day): (Option<Duration>, Option<i64>),
         buffer: Vec<u8>,
     ) -> Option<Self> {
         if state.configuration_hash != configuration.estimation.hash {
@@ -88,6 +90,7 @@ impl ParkedState {
             configuration_hash,
             carried,
             epoch_time,
+            kept_day,
         })
     }
 

@@ -30,6 +30,7 @@ on_both_databases!(
     a_restore_finds_epochs_of_earlier_days,
     a_restore_finds_epochs_after_a_change_of_the_retention,
     days_of_sessions_begin_at_different_times,
+    a_parked_session_keeps_a_snapshot_a_day,
 );
 
 const MS_PER_DAY: i64 = 86_400_000;
@@ -588,4 +589,23 @@ async fn days_of_sessions_begin_at_different_times(database: Database) {
     let most = kept.windows(2).map(|counts| counts[1] - counts[0]).max();
     assert!(most <= Some(10), "{kept:?}");
     assert_eq!(kept.last(), Some(&40), "{kept:?}");
+}
+
+/// A session is parked after each push. It knows afterwards for which day it has kept a snapshot.
+async fn a_parked_session_keeps_a_snapshot_a_day(database: Database) {
+    let (store, clock) = (database.store().await, Clock::at(START));
+    let aiding = AidingDesk::open(store.clone(), AidingLimits::service()).await.unwrap();
+    let limits =
+        SessionLimits { retention_days: RETENTION, active_sessions: 1, ..SessionLimits::service() };
+    let sessions = Sessions::open_at(store, aiding, limits, clock.clone());
+    let id = sessions.create(new_session()).await.unwrap().id;
+    let other = sessions.create(new_session()).await.unwrap().id;
+    for push in 0..4 {
+        // As many as a session sends before it stores its state.
+        let epochs = (1..=256).map(|seq| 256 * push + seq).map(|seq| epoch(seq, seq as f64));
+        sessions.submit(&id, epochs.collect()).await.unwrap();
+        assert!(outcome(&sessions, &other, epoch(push + 1, push as f64)).await.result.is_ok());
+    }
+    // All of a new session can be replayed from its beginning.
+    assert_eq!(database.count("kept_snapshots").await, 0);
 }

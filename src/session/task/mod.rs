@@ -101,7 +101,7 @@ struct Active {
     epoch_time: Option<Duration>,
     /// The stream of its receiver, once there are raw bytes.
     raw: Option<Box<Reception>>,
-    /// The last day for which this task has kept a snapshot for replay; see `Task::kept_day`.
+    /// The last day for which a snapshot was kept for replay, if known; see `Task::kept_day`.
     kept_day: Option<i64>,
 }
 

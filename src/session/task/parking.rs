@@ -129,12 +129,13 @@ impl Task {
 
     /// The encoded state of a session that is parked. A short window is encoded on this thread.
     async fn encoded(&self, active: Active) -> Option<ParkedState> {
-        let Active { committed, configuration, epoch_time, .. } = active;
+        let Active { committed, configuration, epoch_time, kept_day, .. } = active;
         let (key, tenant) = (self.key, self.tenant.clone());
         let is_short = committed.window_epochs() <= ENCODED_HERE;
         let buffer = self.solvers.memory().buffer();
+        let known = (epoch_time, kept_day);
         let encode =
-            move || ParkedState::of((key, &tenant), &committed, configuration, epoch_time, buffer);
+            move || ParkedState::of((key, &tenant), &committed, configuration, known, buffer);
         match is_short {
             true => encode(),
             false => self.solvers.run(Lane::Restore, encode).await.ok().flatten(),
@@ -193,7 +194,8 @@ impl Task {
 
     /// The session in memory, from the state with which it was parked.
     async fn unparked(&self, parked: ParkedState) -> Option<Active> {
-        let (configuration, epoch_time) = (parked.configuration().clone(), parked.epoch_time);
+        let configuration = parked.configuration().clone();
+        let (epoch_time, kept_day) = (parked.epoch_time, parked.kept_day);
         let decoded = match parked.length() <= DECODED_HERE {
             true => caught(|| parked.decoded()),
             false => {
@@ -201,7 +203,7 @@ impl Task {
                 decoding.await.map_err(|error| error.to_string())
             }
         };
-        let (unconfirmed, raw, kept_day) = (None, None, None);
+        let (unconfirmed, raw) = (None, None);
         match decoded {
             Ok((Ok(state), buffer)) => {
                 self.solvers.memory().recycle_buffer(buffer);
