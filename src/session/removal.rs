@@ -87,8 +87,9 @@ impl Expiry {
     pub(super) async fn remove_hourly(self: Arc<Self>) {
         loop {
             if !self.store.is_leader() {
-                // The leader counts this time.
+                // The leader counts this time, by which this node stores what arrives.
                 *self.counted_ms.lock().await = self.clock.elapsed_ms();
+                self.store.read_expiry_clock().await.ok(); // Err: it is read again soon.
                 sleep(LEAD_INTERVAL).await;
                 continue;
             }

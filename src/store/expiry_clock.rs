@@ -50,8 +50,11 @@ impl Counted {
 }
 
 impl Store {
-    /// Reads the counted time at the start.
-    pub(super) async fn read_expiry_clock(&self) -> Result<(), StoreError> {
+    /// Reads the counted time: at the start, and again where another node counts it.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn read_expiry_clock(&self) -> Result<(), StoreError> {
         let read: Result<Option<i64>, _> = reading!(&self.pool, pool => {
             sqlx::query_scalar("SELECT unix_ms FROM expiry_clock").fetch_one(pool).await
         });
