@@ -11,10 +11,12 @@ use super::codec::{SolutionColumns, decode_solution, is_relative, status_number}
 use super::deadline::{DEADLINE, within};
 use super::page::rows_asked;
 use super::pool::{Pool, reading};
+use super::times::Numbers;
 use super::{Page, SessionKey, Store, StoreError};
 
 const PAGE_LIMIT: usize = 10_000;
-/// Most epochs that are searched for a status. A page ends there, even if it is not full.
+/// Most epochs that are searched for a status or in several arcs. A page ends there, even if it is
+/// not full.
 const SCANNED_EPOCHS: usize = 20_000;
 /// Number of the epoch that comes a given number of epochs later.
 const NUMBER_AFTER: &str = "SELECT seq FROM epochs \
@@ -198,12 +200,12 @@ impl Store {
                 parse_token(token).ok_or_else(|| StoreError::PageToken { token: token.clone() })?
             }
         };
-        let Some((first, last)) = self.numbers_between(session, query.from, query.to).await? else {
+        let Some(numbers) = self.numbers_between(session, query.from, query.to).await? else {
             return Ok(Page { items: Vec::new(), next_page_token: None });
         };
-        let first = first.max(after.0);
-        let scanned = self.scanned_through(session, query, (first, last)).await?;
-        let numbers = (first, scanned.unwrap_or(last));
+        let numbers = Numbers { first: numbers.first.max(after.0), ..numbers };
+        let scanned = self.scanned_through(session, query, numbers).await?;
+        let numbers = (numbers.first, scanned.unwrap_or(numbers.last));
         let rows = self.select(session, query, numbers, after, rows_asked).await;
         let rows = rows.map_err(StoreError::database("listing solutions"))?;
         let token = |row: &RawSolution| format!("{}.{}", row.seq, row.revision);
@@ -216,18 +218,18 @@ impl Store {
     }
 
     /// Number of the last epoch that a page may reach; `None` if there is no such limit between
-    /// these numbers. Without a limit the database could search a whole session for a status or for
-    /// the newest revisions.
+    /// these numbers. Without a limit the database could search a whole session for a status, for
+    /// the newest revisions, or for a time in a later arc.
     async fn scanned_through(
         &self,
         session: SessionKey,
         query: &SolutionQuery,
-        (first, last): (i64, i64),
+        Numbers { first, last, has_others }: Numbers,
     ) -> Result<Option<i64>, StoreError> {
         let epochs = match (query.status, query.revisions) {
-            (None, Revisions::Last) => query.page_size + 1, // Each has one.
-            (Some(_), _) => SCANNED_EPOCHS.max(query.page_size + 1),
-            _ => return Ok(None),
+            (None, Revisions::Last) if !has_others => query.page_size + 1, // Each has one.
+            (None, _) if !has_others => return Ok(None),
+            _ => SCANNED_EPOCHS.max(query.page_size + 1),
         };
         let number: Result<Option<i64>, _> = reading!(list &self.pool, pool => {
             let number = sqlx::query_scalar(NUMBER_AFTER).bind(session.0).bind(first).bind(last);
@@ -429,6 +431,37 @@ mod tests {
             let page = store.solutions(key, &query).await.unwrap();
             let numbers: Vec<u64> = page.items.iter().map(|solution| solution.seq).collect();
             assert_eq!(numbers, (10 * pages + 1..=10 * pages + 10).collect::<Vec<_>>());
+            query.page_token = page.next_page_token;
+        }
+    }
+
+    /// A list for a time that two arcs have reads only some thousand epochs between them a page.
+    #[tokio::test]
+    async fn a_page_looks_through_some_epochs_between_arcs_only() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let scanned = SCANNED_EPOCHS as u64;
+        let key = session(&store, (1..=scanned + 100).map(encoded).collect()).await;
+        // The last epoch is of another arc, and has the time of the first.
+        let Pool::Sqlite { writer, .. } = &store.pool else { panic!("SQLite") };
+        let (last, first) = (scanned + 100, answer(1, 0).solution.time);
+        let again = sqlx::query("UPDATE epochs SET gps_time_ns = $1 WHERE seq = $2");
+        again.bind(first.as_ns()).bind(last as i64).execute(writer).await.unwrap();
+        let arc =
+            "INSERT INTO session_arcs (session, after_seq, created_unix_ms) VALUES (1, $1, 0)";
+        sqlx::query(arc).bind(last as i64 - 1).execute(writer).await.unwrap();
+        let mut query = SolutionQuery {
+            from: Some(first),
+            to: Some(first),
+            status: None,
+            revisions: Revisions::All,
+            page_size: 10,
+            page_token: None,
+        };
+        for (found, token) in [(1, Some(format!("{}.{}", scanned + 1, i32::MAX))), (last, None)] {
+            let page = store.solutions(key, &query).await.unwrap();
+            let numbers: Vec<u64> = page.items.iter().map(|solution| solution.seq).collect();
+            assert_eq!((numbers, &page.next_page_token), (vec![found], &token));
             query.page_token = page.next_page_token;
         }
     }

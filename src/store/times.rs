@@ -6,6 +6,17 @@ use crate::gnss::GpsTime;
 use super::pool::reading;
 use super::{SessionKey, Store, StoreError};
 
+/// The numbers of the epochs in a span of time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Numbers {
+    /// The first one.
+    pub(super) first: i64,
+    /// The last one.
+    pub(super) last: i64,
+    /// Whether epochs outside the span may lie between them, because they are of several arcs.
+    pub(super) has_others: bool,
+}
+
 /// An epoch: its number and time (ns).
 type Found = (i64, i64);
 
@@ -26,7 +37,8 @@ impl Store {
         after: Option<u64>,
         (from, to): (Option<GpsTime>, Option<GpsTime>),
     ) -> Result<Option<(u64, u64)>, StoreError> {
-        let Some((first, last)) = self.numbers_between(session, from, to).await? else {
+        let Some(Numbers { first, last, .. }) = self.numbers_between(session, from, to).await?
+        else {
             return Ok(None);
         };
         let first = after.map_or(first, |after| first.max(after as i64 + 1));
@@ -35,27 +47,27 @@ impl Store {
         Ok(ends.map(|(first, last)| (first.0 as u64, last.0 as u64)))
     }
 
-    /// The first and last epoch number of a span of time, over all arcs of a session. Epochs
-    /// outside the span may lie between them.
+    /// The first and last epoch number of a span of time, over all arcs of a session.
     pub(super) async fn numbers_between(
         &self,
         session: SessionKey,
         from: Option<GpsTime>,
         to: Option<GpsTime>,
-    ) -> Result<Option<(i64, i64)>, StoreError> {
+    ) -> Result<Option<Numbers>, StoreError> {
         if from.is_none() && to.is_none() {
-            return Ok(Some((0, i64::MAX)));
+            return Ok(Some(Numbers { first: 0, last: i64::MAX, has_others: false }));
         }
         let ends = self.arcs(session).await?.into_iter().map(|seq| seq as i64).chain([i64::MAX]);
-        let (mut span, mut first) = (None::<(i64, i64)>, 0);
-        for last in ends {
-            if let Some((begin, end)) =
-                self.numbers_in_arc(session, (first, last), from, to).await?
+        let (mut span, mut begin) = (None::<Numbers>, 0);
+        for end in ends {
+            if let Some((first, last)) =
+                self.numbers_in_arc(session, (begin, end), from, to).await?
             {
-                let begin = span.map_or(begin, |(earlier, _)| earlier.min(begin));
-                span = Some((begin, end));
+                let has_others = span.is_some();
+                let first = span.map_or(first, |earlier| earlier.first);
+                span = Some(Numbers { first, last, has_others });
             }
-            first = last.saturating_add(1);
+            begin = end.saturating_add(1);
         }
         Ok(span)
     }
