@@ -96,6 +96,7 @@ impl From<StoreError> for Refusal {
             | StoreError::Down { .. }
             | StoreError::Corrupt { .. }
             | StoreError::CorruptText { .. } => failure(error.code()).because(error.to_string()),
+            StoreError::BaseDeleted { .. } => refusal.at("base"),
             StoreError::PageToken { .. } => refusal.at("pageToken"),
             StoreError::PageSize { .. } => refusal.at("pageSize"),
             _ => refusal,

@@ -49,14 +49,9 @@ impl Sessions {
         if options.output.geoid && self.aiding().geoid.is_none() {
             return Err(SessionError::GeoidMissing);
         }
-        let named: &[BaseName] = match base {
-            BaseChoice::One(base) => std::slice::from_ref(base),
-            BaseChoice::NearestOf(bases) => bases,
-            BaseChoice::None | BaseChoice::Nearest => &[],
-        };
         let presentation = options.output.presentation(None);
         let check = |base: &BaseName| presentation.check(self.aiding().bases.frame(&base.id));
-        named.iter().try_for_each(check).map_err(SessionError::Frame)
+        base.named().iter().try_for_each(check).map_err(SessionError::Frame)
     }
 
     /// The calibrated antenna with this name; none for an empty name.

@@ -13,7 +13,7 @@ use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
 use super::notices::{Change, notify};
-use super::pool::{reading, writing};
+use super::pool::{Pool, reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
 /// Primary key of a base.
@@ -59,6 +59,15 @@ impl<B> BaseChoice<B> {
     /// Whether the session uses no base.
     pub(crate) const fn is_none(&self) -> bool {
         matches!(self, Self::None)
+    }
+
+    /// The bases that are named.
+    pub(crate) const fn named(&self) -> &[B] {
+        match self {
+            Self::One(base) => std::slice::from_ref(base),
+            Self::NearestOf(bases) => bases.as_slice(),
+            Self::None | Self::Nearest => &[],
+        }
     }
 
     /// The same choice, with each base replaced by the result of `name`.
@@ -267,6 +276,9 @@ const UPSERT_SITE: &str = "INSERT INTO base_sites
 const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
+/// Waits until no transaction stores a session that names the base, on Postgres. Only a later
+/// statement sees this session.
+const LOCK: &str = "SELECT key FROM bases WHERE key = $1 FOR UPDATE";
 /// Does nothing if an open session uses the base.
 const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, request_name = NULL
     WHERE key = $1 AND NOT EXISTS (SELECT 1 FROM sessions
@@ -471,6 +483,9 @@ impl Store {
         let deleted = writing!(&self.pool, pool => {
             let deleted = async {
                 let mut transaction = pool.begin().await?;
+                if let Pool::Postgres { .. } = &self.pool {
+                    sqlx::query(LOCK).bind(base.0).execute(&mut *transaction).await?;
+                }
                 let delete = sqlx::query(DELETE).bind(base.0).bind(unix_ms);
                 let rows = delete.execute(&mut *transaction).await?.rows_affected();
                 if rows == 1 {

@@ -125,6 +125,12 @@ pub enum StoreError {
         /// Primary key of the base.
         base: i64,
     },
+    /// A base that a session is to use has been deleted meanwhile.
+    #[error("there is no base {id:?}")]
+    BaseDeleted {
+        /// Id of the base.
+        id: Arc<str>,
+    },
     /// A stored secret cannot be read.
     #[error(transparent)]
     Secrets(#[from] SecretsError),
@@ -175,6 +181,7 @@ impl StoreError {
             Self::Corrupt { .. } | Self::CorruptText { .. } => Code::StoredDataCorrupt,
             Self::NavigationForgotten { .. } => Code::NavigationForgotten,
             Self::BaseForgotten { .. } => Code::BaseForgotten,
+            Self::BaseDeleted { .. } => Code::BaseNotFound,
             Self::Secrets(error) => error.code(),
             Self::PageToken { .. } => Code::PageTokenInvalid,
             Self::PageSize { .. } => Code::PageSizeInvalid,

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::tenant::Tenant;
 
 use super::audit::note;
-use super::pool::{reading, writing};
+use super::pool::{Pool, reading, writing};
 use super::{AntennaName, AuditEntry, BaseChoice, NamedRequest, Store, StoreError};
 
 /// Column value of a session that uses the nearest of several bases.
@@ -115,11 +115,38 @@ macro_rules! insert_candidates {
     };
 }
 
+/// The id of a named base that is deleted, if there is one. On Postgres the others cannot be
+/// deleted until the transaction ends; on SQLite no other transaction of the pool runs.
+macro_rules! deleted_base {
+    ($store:expr, $transaction:ident, $base:expr) => {{
+        let sql = match &$store.pool {
+            Pool::Sqlite { .. } => present!(""),
+            Pool::Postgres { .. } => present!(" FOR SHARE"),
+        };
+        let mut deleted = None;
+        for base in $base.named() {
+            let select = sqlx::query_scalar(sql).bind(base.key.0);
+            let present: Option<i64> = select.fetch_optional(&mut *$transaction).await?;
+            if present.is_none() {
+                deleted = Some(base.id.clone());
+                break;
+            }
+        }
+        deleted
+    }};
+}
+/// Selects a base that is not deleted.
+macro_rules! present {
+    ($lock:literal) => {
+        concat!("SELECT key FROM bases WHERE key = $1 AND deleted_unix_ms IS NULL", $lock)
+    };
+}
+
 impl Store {
     /// Stores a new session of a tenant.
     ///
     /// # Errors
-    /// The database fails. An existing id is such a failure.
+    /// A base is deleted, or the database fails. An existing id is such a failure.
     pub async fn create_session(
         &self,
         tenant: &Tenant,
@@ -172,16 +199,19 @@ impl Store {
                 .bind(request.map(|request| &*request.name))
                 .bind(request.map(|request| &*request.hash));
                 let key: Option<(i64,)> = insert.fetch_optional(&mut *transaction).await?;
-                let Some((key,)) = key else { return Ok(None) };
+                let Some((key,)) = key else { return Ok(Ok(None)) };
+                if let Some(id) = deleted_base!(self, transaction, &settings.base) {
+                    return Ok(Err(StoreError::BaseDeleted { id }));
+                }
                 insert_candidates!(transaction, key, &settings.base);
                 let head = "INSERT INTO session_heads (session, owner, fence) VALUES ($1, '', 0)";
                 sqlx::query(head).bind(key).execute(&mut *transaction).await?;
                 transaction.commit().await?;
-                Ok::<Option<i64>, sqlx::Error>(Some(key))
+                Ok::<Result<Option<i64>, StoreError>, sqlx::Error>(Ok(Some(key)))
             };
             inserted.await
         });
-        let key = key.map_err(StoreError::database("storing a session"))?;
+        let key = key.map_err(StoreError::database("storing a session"))??;
         Ok(key.map(|key| SessionRow {
             key: SessionKey(key),
             id: id.to_owned(),
@@ -198,7 +228,7 @@ impl Store {
     /// Replaces a session's settings, and writes the entry of the audit log.
     ///
     /// # Errors
-    /// The database fails.
+    /// A base is deleted, or the database fails.
     pub(crate) async fn update_session(
         &self,
         key: SessionKey,
@@ -230,13 +260,16 @@ impl Store {
                 update.execute(&mut *transaction).await?;
                 let clear = sqlx::query("DELETE FROM session_bases WHERE session = $1").bind(key.0);
                 clear.execute(&mut *transaction).await?;
+                if let Some(id) = deleted_base!(self, transaction, &settings.base) {
+                    return Ok(Err(StoreError::BaseDeleted { id }));
+                }
                 insert_candidates!(transaction, key.0, &settings.base);
                 note!(self, transaction, entry);
-                transaction.commit().await
+                transaction.commit().await.map(Ok)
             };
             updated.await
         });
-        updated.map_err(StoreError::database("updating a session"))
+        updated.map_err(StoreError::database("updating a session"))?
     }
 
     /// Numbers of the epochs after which the session began a new arc, in order.

@@ -12,8 +12,9 @@ use graphfix::session::{
     SessionUpdate, Sessions, SolveRequest,
 };
 use graphfix::store::StoredSolution;
+use sqlx::{Connection, PgConnection};
 
-use crate::support::database::{Database, on_both_databases, whole_session};
+use crate::support::database::{Database, on_both_databases, on_postgres, whole_session};
 use crate::support::doors::Doors;
 use crate::support::pair::PAIR;
 use crate::support::sessions::epoch;
@@ -29,6 +30,7 @@ on_both_databases!(
     the_epochs_of_a_deleted_base_are_removed_in_the_background,
     what_a_base_holds_is_bounded,
     a_base_in_use_stays,
+    a_base_that_is_deleted_meanwhile_is_not_found,
     a_session_may_change_its_base,
     a_base_may_move,
     a_base_serves_positions_on_request,
@@ -289,6 +291,52 @@ async fn what_a_base_holds_is_bounded(database: Database) {
     assert_eq!(held.span.unwrap().1, PAIR.base[14].time);
     let restarted = desk_with(&database, few).await.aiding.bases.get(&base).await.unwrap();
     assert_eq!((restarted.epochs, restarted.span), (held.epochs, held.span));
+}
+
+/// A base is deleted between the check of its name and the commit of the session that names it.
+async fn a_base_that_is_deleted_meanwhile_is_not_found(database: Database) {
+    let desk = desk(&database).await;
+    let (deleted, other) = (desk.base().await, desk.base().await);
+    let session = desk.session(&other).await;
+    database.execute("UPDATE bases SET deleted_unix_ms = 1 WHERE key = 1").await;
+    let bases = [BaseChoice::One(deleted.clone()), BaseChoice::NearestOf(vec![other, deleted])];
+    for base in bases {
+        let new = NewSession { base: base.clone(), ..new_session("rtk-fgo", None) };
+        let error = desk.sessions.create(new).await.unwrap_err();
+        assert_eq!(error.code().name(), "BASE_NOT_FOUND");
+        let update = SessionUpdate { base: Some(base), ..SessionUpdate::default() };
+        let error = desk.sessions.update(&session, update).await.unwrap_err();
+        assert_eq!(error.code().name(), "BASE_NOT_FOUND");
+    }
+    assert_eq!(database.count("sessions").await, 1);
+    assert_eq!(database.count("sessions WHERE base = 2").await, 1);
+}
+
+/// The transaction that stores a session commits while the base that it names is deleted.
+#[tokio::test]
+async fn a_base_of_a_session_that_is_just_stored_stays() {
+    on_postgres(async |database| {
+        let desk = desk(&database).await;
+        let base = desk.base().await;
+        desk.sessions.create(new_session("spp", None)).await.unwrap();
+        let mut other = PgConnection::connect(&database.url).await.unwrap();
+        let mut storing = other.begin().await.unwrap();
+        for sql in ["UPDATE sessions SET base = 1", "SELECT key FROM bases FOR SHARE"] {
+            sqlx::query(sql).execute(&mut *storing).await.unwrap();
+        }
+        let blocked = async || {
+            let waiting = "pg_stat_activity WHERE wait_event_type = 'Lock' \
+                           AND query LIKE '%bases%'";
+            database.count(waiting).await
+        };
+        let storing = async {
+            until("the deletion waits", blocked, |count| 0 < *count).await;
+            storing.commit().await.unwrap();
+        };
+        let (deleted, ()) = tokio::join!(desk.aiding.bases.delete(&base), storing);
+        assert_eq!(deleted.unwrap_err().code().name(), "BASE_IN_USE");
+    })
+    .await;
 }
 
 async fn a_base_in_use_stays(database: Database) {
