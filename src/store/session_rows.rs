@@ -1,5 +1,6 @@
 //! Reads sessions as rows.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -10,7 +11,7 @@ use crate::tenant::Tenant;
 use super::deadline::{DEADLINE, within};
 use super::joined::{Joined, Rules, in_order};
 use super::page::rows_asked;
-use super::pool::reading;
+use super::pool::{Pool, reading};
 use super::session_filter::condition;
 use super::sessions::{NEAREST_OF, options_from};
 use super::{
@@ -20,6 +21,7 @@ use super::{
 
 const PAGE_LIMIT: usize = 1_000;
 const READING: &str = "reading a session";
+const READING_BASES: &str = "reading a session's bases";
 /// Sessions in a statement.
 const ROWS: usize = 64;
 
@@ -50,17 +52,15 @@ pub(super) struct RawSession {
 /// A candidate base of a session: key of the session, key and id of the base.
 type CandidateRow = (i64, i64, String);
 
+/// The candidate bases of sessions by their keys, in the order that each session has.
+type Candidates = HashMap<i64, Vec<BaseName>>;
+
 impl RawSession {
-    /// Decodes the row. `candidates` contains the bases of sessions that use the nearest of
-    /// several.
-    fn parse(self, candidates: &[CandidateRow]) -> Result<SessionRow, StoreError> {
-        let name = |key: i64, id: String| BaseName { key: BaseKey(key), id: id.into() };
+    /// Decodes the row. It takes its bases from `candidates` if it uses the nearest of several.
+    fn parse(self, candidates: &mut Candidates) -> Result<SessionRow, StoreError> {
         let base = match self.base_choice {
-            0 => self.base.zip(self.base_id).map(|(key, id)| name(key, id)).into(),
-            NEAREST_OF => {
-                let own = candidates.iter().filter(|(session, ..)| *session == self.key);
-                BaseChoice::NearestOf(own.map(|(_, base, id)| name(*base, id.clone())).collect())
-            }
+            0 => self.base.zip(self.base_id).map(|(key, id)| base_name(key, id)).into(),
+            NEAREST_OF => BaseChoice::NearestOf(candidates.remove(&self.key).unwrap_or_default()),
             2 => BaseChoice::Nearest,
             other => {
                 let why = format!("{other} is not a choice of bases");
@@ -109,6 +109,18 @@ macro_rules! select_sessions {
     };
 }
 
+/// Selects the [`CandidateRow`]s of the sessions of some keys.
+macro_rules! candidates {
+    ($keys:literal) => {
+        concat!(
+            "SELECT session, bases.key, bases.id FROM session_bases ",
+            "JOIN bases ON bases.key = session_bases.base WHERE session IN (SELECT ",
+            $keys,
+            ") ORDER BY session, place"
+        )
+    };
+}
+
 /// Reads the rows of several sessions at once, by their ids.
 pub(super) type JoinedRows = Joined<String, Option<RawSession>>;
 
@@ -133,6 +145,10 @@ async fn read_rows(pool: &PgPool, ids: &[String]) -> Result<Vec<Option<RawSessio
     let sql = select_sessions!("WHERE id = ANY($1) AND s.deleted_unix_ms IS NULL");
     let rows: Vec<RawSession> = sqlx::query_as(sql).bind(ids).fetch_all(pool).await?;
     Ok(in_order(ids, rows.into_iter().map(|row| (row.id.clone(), row)).collect()))
+}
+
+fn base_name(key: i64, id: String) -> BaseName {
+    BaseName { key: BaseKey(key), id: id.into() }
 }
 
 impl Store {
@@ -167,11 +183,8 @@ impl Store {
         let Some(row) = row.filter(|row| tenant.is_empty() || row.tenant == tenant) else {
             return Ok(None);
         };
-        let candidates = match row.base_choice {
-            NEAREST_OF => self.candidates(row.key, row.key).await?,
-            _ => Vec::new(),
-        };
-        row.parse(&candidates).map(Some)
+        let mut candidates = self.candidates(std::slice::from_ref(&row), false).await?;
+        row.parse(&mut candidates).map(Some)
     }
 
     async fn read_row(&self, id: &str) -> Result<Option<RawSession>, StoreError> {
@@ -195,15 +208,37 @@ impl Store {
         key.map_err(StoreError::database("reading a session"))
     }
 
-    /// The candidate bases of the sessions in a range of keys, in the order that each session has.
-    async fn candidates(&self, from: i64, to: i64) -> Result<Vec<CandidateRow>, StoreError> {
-        let rows: Result<Vec<CandidateRow>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT session, bases.key, bases.id FROM session_bases
-                       JOIN bases ON bases.key = session_bases.base
-                       WHERE session BETWEEN $1 AND $2 ORDER BY session, place";
-            sqlx::query_as(sql).bind(from).bind(to).fetch_all(pool).await
-        });
-        rows.map_err(StoreError::database("reading a session's bases"))
+    /// The candidate bases of those of the sessions that use the nearest of several.
+    async fn candidates(
+        &self,
+        sessions: &[RawSession],
+        of_list: bool,
+    ) -> Result<Candidates, StoreError> {
+        let keys = sessions.iter().filter(|row| row.base_choice == NEAREST_OF).map(|row| row.key);
+        let keys: Vec<i64> = keys.collect();
+        let mut candidates = Candidates::new();
+        if keys.is_empty() {
+            return Ok(candidates);
+        }
+        let keys = serde_json::to_string(&keys).expect("numbers are JSON");
+        let sql = match &self.pool {
+            Pool::Sqlite { .. } => candidates!("value FROM json_each($1)"),
+            Pool::Postgres { .. } => {
+                candidates!("CAST(value AS BIGINT) FROM json_array_elements_text($1::text::json)")
+            }
+        };
+        let rows: Result<Vec<CandidateRow>, _> = match of_list {
+            true => reading!(list &self.pool, pool => {
+                sqlx::query_as(sql).bind(&keys).fetch_all(pool).await
+            }),
+            false => reading!(&self.pool, pool => {
+                sqlx::query_as(sql).bind(&keys).fetch_all(pool).await
+            }),
+        };
+        for (session, key, id) in rows.map_err(StoreError::database(READING_BASES))? {
+            candidates.entry(session).or_default().push(base_name(key, id));
+        }
+        Ok(candidates)
     }
 
     /// A page of the sessions of a tenant.
@@ -225,7 +260,7 @@ impl Store {
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
-        let rows: Result<Vec<RawSession>, _> = reading!(&self.pool, pool => {
+        let rows: Result<Vec<RawSession>, _> = reading!(list &self.pool, pool => {
             let sql = match filter.oldest_first {
                 true => select_sessions!(condition!(oldest_first)),
                 false => select_sessions!(condition!(newest_first)),
@@ -235,11 +270,7 @@ impl Store {
             select.bind(&filter.label).fetch_all(pool).await
         });
         let rows = rows.map_err(StoreError::database("listing sessions"))?;
-        let keys = rows.last().zip(rows.first()).map(|(last, first)| (last.key, first.key));
-        let candidates = match keys {
-            Some((one, other)) => self.candidates(one.min(other), one.max(other)).await?,
-            None => Vec::new(),
-        };
-        Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&candidates))
+        let mut candidates = self.candidates(&rows, true).await?;
+        Page::of(rows, page_size, |row| row.id.clone()).try_map(|row| row.parse(&mut candidates))
     }
 }
