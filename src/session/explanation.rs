@@ -41,7 +41,7 @@ impl Sessions {
         let row = self.row(id).await?;
         let stored = match seq {
             None => self.store().last_epochs(row.key, 1).await?,
-            Some(seq) => self.store().epochs_after(row.key, seq.checked_sub(1), 1).await?,
+            Some(seq) => self.store().listed_epochs_after(row.key, seq.checked_sub(1), 1).await?,
         };
         let stored = stored.into_iter().next();
         let stored = match (seq, stored) {

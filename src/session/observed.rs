@@ -60,7 +60,7 @@ impl ObservedEpochs {
     /// The store fails.
     pub async fn next(&mut self) -> Result<Option<Vec<StoredEpoch>>, SessionError> {
         let Some(last) = self.last else { return Ok(None) };
-        let mut page = self.store.epochs_after(self.key, self.after, PAGE).await?;
+        let mut page = self.store.listed_epochs_after(self.key, self.after, PAGE).await?;
         let newest = page.last().map(|stored| stored.solution.seq);
         match newest {
             Some(newest) if newest < last => self.after = Some(newest),

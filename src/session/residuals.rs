@@ -62,7 +62,7 @@ impl Sessions {
             if all.last().is_some_and(|before| seq <= before.seq) {
                 continue; // The epoch before was the next one behind this number, too.
             }
-            let stored = self.store().epochs_after(key, seq.checked_sub(1), 1).await?;
+            let stored = self.store().listed_epochs_after(key, seq.checked_sub(1), 1).await?;
             let Some(stored) = stored.into_iter().next() else { break };
             if last < stored.solution.seq {
                 break;

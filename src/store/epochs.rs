@@ -128,6 +128,20 @@ impl Store {
         self.decoded(session, rows).await
     }
 
+    /// Like [`Self::epochs_after`], by the connections for lists.
+    ///
+    /// # Errors
+    /// As for [`Self::epochs_after`].
+    pub(crate) async fn listed_epochs_after(
+        &self,
+        session: SessionKey,
+        after: Option<u64>,
+        count: usize,
+    ) -> Result<Vec<StoredEpoch>, StoreError> {
+        let lists = Self { pool: self.pool.for_lists(), ..self.clone() };
+        lists.epochs_after(session, after, count).await
+    }
+
     /// Number of the epoch that is followed by the last `count` epochs of the session, if there are
     /// that many.
     ///

@@ -236,7 +236,7 @@ impl Store {
         let before = match page_token {
             None => i64::MAX,
             Some(id) => {
-                let key: Result<Option<i64>, _> = reading!(&self.pool, pool => {
+                let key: Result<Option<i64>, _> = reading!(list &self.pool, pool => {
                     let sql = "SELECT key FROM api_keys WHERE id = $1 AND ($2 = '' OR tenant = $2)";
                     sqlx::query_scalar(sql).bind(id).bind(of).fetch_optional(pool).await
                 });
@@ -244,7 +244,7 @@ impl Store {
                 key.ok_or_else(|| StoreError::PageToken { token: id.to_owned() })?
             }
         };
-        let rows: Result<Vec<RawKey>, _> = reading!(&self.pool, pool => {
+        let rows: Result<Vec<RawKey>, _> = reading!(list &self.pool, pool => {
             let sql = select_keys!(
                 "WHERE key < $1 AND ($2 = '' OR tenant = $2) ORDER BY key DESC LIMIT $3"
             );

@@ -150,6 +150,21 @@ impl Pool {
         }
     }
 
+    /// The same database, read by the connections for lists.
+    pub(super) fn for_lists(&self) -> Self {
+        match self {
+            Self::Sqlite { writer, listers, turn, .. } => Self::Sqlite {
+                writer: writer.clone(),
+                readers: listers.clone(),
+                listers: listers.clone(),
+                turn: turn.clone(),
+            },
+            Self::Postgres { listers, .. } => {
+                Self::Postgres { pool: listers.clone(), listers: listers.clone() }
+            }
+        }
+    }
+
     /// The connections that read and write, on Postgres.
     pub(super) const fn postgres(&self) -> Option<&PgPool> {
         match self {

@@ -189,7 +189,7 @@ impl<'a> Rerun<'a> {
     pub async fn read(&mut self) -> Result<bool, SessionError> {
         while self.steps.as_slice().is_empty() {
             let (key, before) = (self.replay.key, self.after);
-            let mut stored = self.replay.store.epochs_after(key, before, PAGE).await?;
+            let mut stored = self.replay.store.listed_epochs_after(key, before, PAGE).await?;
             // If the session is deleted meanwhile, some epochs are missing.
             let row = session(&self.replay.store, &self.replay.tenant, &self.id).await?;
             if before < row.removed_through {
