@@ -10,6 +10,7 @@ use crate::store::{StoreError, StoredEpoch, StoredSolution};
 
 use super::configuration::{kept_options, output};
 use super::desk::Sessions;
+use super::solvers::Lane;
 use super::{SessionError, SessionId};
 
 pub use crate::positioning::{SatelliteRole, SatelliteView};
@@ -78,7 +79,7 @@ impl<'a> Explaining<'a> {
     /// The observed satellites of an epoch, in its order, at the position of its first answer.
     ///
     /// # Errors
-    /// The store fails.
+    /// The store fails, or the computation.
     pub(super) async fn satellites(
         &mut self,
         stored: &StoredEpoch,
@@ -90,8 +91,10 @@ impl<'a> Explaining<'a> {
             None => kept_options(&self.sessions.store().configuration(hash).await?)?,
         };
         let (_, options) = self.options.insert((hash.clone(), options));
-        let answer = &stored.solution.solution;
-        Ok(satellite_views(&stored.epoch, answer, &navigation, options))
+        let (epoch, answer) = (stored.epoch.clone(), stored.solution.solution.clone());
+        let options = options.clone();
+        let work = move || satellite_views(&epoch, &answer, &navigation, &options);
+        self.sessions.solvers().run(Lane::OnDemand, work).await
     }
 
     /// The ephemerides after a push, or the present ones if those are no longer stored.

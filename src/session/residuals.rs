@@ -41,7 +41,8 @@ impl Sessions {
     /// the epoch with the next number is taken, so there may be fewer epochs than asked for.
     ///
     /// # Errors
-    /// No session has this id, the number of points is out of range, or the store fails.
+    /// No session has this id, the number of points is out of range, the tenant has used up its
+    /// processor time, or the store fails.
     pub async fn residuals(
         &self,
         id: &SessionId,
@@ -52,6 +53,7 @@ impl Sessions {
             return Err(SessionError::TooManyPoints { points, limit });
         }
         let key = self.row(id).await?.key;
+        self.meter().admit_computation()?;
         let span = (query.from, query.to);
         let Some((first, last)) = self.store().epoch_numbers(key, None, span).await? else {
             return Ok(Vec::new());

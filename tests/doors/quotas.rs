@@ -115,6 +115,9 @@ async fn epochs_are_refused_by_each_quota(database: Database) {
         let (status, answer) = asked(&doors, &a, "POST", &path, solve).await;
         let is_of_cpu = code == "CPU_QUOTA_EXCEEDED";
         assert_eq!(status == StatusCode::TOO_MANY_REQUESTS, is_of_cpu, "{answer}");
+        let path = format!("/v1/sessions/{of_a}/solutions:residuals");
+        let (status, answer) = asked(&doors, &a, "GET", &path, Value::Null).await;
+        assert_eq!(status == StatusCode::TOO_MANY_REQUESTS, is_of_cpu, "{answer}");
         set(&doors, &operator, "a", json!({})).await;
         assert_eq!(push(&a, &of_a).await, taken);
     }

@@ -9,7 +9,6 @@
 //! scheduling: Waldspurger and Weihl, 1995, *Stride Scheduling: Deterministic Proportional-Share
 //! Resource Management*). A lane that has been empty begins at the present virtual time, so it
 //! gains nothing from the time before.
-//! no claim to the time before.
 
 use std::collections::{HashMap, VecDeque};
 use std::fmt;
