@@ -10,6 +10,13 @@ const LAST_OF_STEP: &str =
     "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
 const REMOVE_REVISIONS: &str = "DELETE FROM revisions WHERE session = $1 AND seq <= $2";
 const REMOVE_EPOCHS: &str = "DELETE FROM epochs WHERE session = $1 AND seq <= $2";
+/// Removes some of the rows that a session may have many of.
+const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
+    AND begin_s IN (SELECT begin_s FROM rollups WHERE session = $1 AND seconds = 60 LIMIT $2)";
+const REMOVE_KEPT: &str = "DELETE FROM kept_snapshots WHERE session = $1 \
+    AND day IN (SELECT day FROM kept_snapshots WHERE session = $1 LIMIT $2)";
+/// Snapshots removed in one step. Each may have hundreds of kilobytes.
+pub(super) const SNAPSHOTS_PER_STEP: usize = 50;
 /// Removes all other rows, once there are no epochs. Without its head a session is not found.
 const REMOVE_REST: [&str; 9] = [
     "DELETE FROM rollups WHERE session = $1",
@@ -22,8 +29,6 @@ const REMOVE_REST: [&str; 9] = [
     "DELETE FROM session_bases WHERE session = $1",
     "DELETE FROM session_heads WHERE session = $1",
 ];
-const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
-    AND begin_s IN (SELECT begin_s FROM rollups WHERE session = $1 AND seconds = 60 LIMIT $2)";
 /// Selects the hours of the fleet to which the session contributes. On Postgres it locks them, in
 /// the same order as the committer.
 macro_rules! hours_of_fleet {
@@ -113,10 +118,14 @@ impl Store {
                     remove.execute(&mut *transaction).await?;
                 }
                 let mut is_more = last.is_some();
-                if !is_more {
-                    let remove = sqlx::query(REMOVE_MINUTES).bind(key).bind(epochs as i64);
-                    let removed = remove.execute(&mut *transaction).await?;
-                    is_more = removed.rows_affected() == epochs as u64;
+                for (sql, rows) in
+                    [(REMOVE_MINUTES, epochs), (REMOVE_KEPT, epochs.min(SNAPSHOTS_PER_STEP))]
+                {
+                    if !is_more {
+                        let remove = sqlx::query(sql).bind(key).bind(rows as i64);
+                        let removed = remove.execute(&mut *transaction).await?;
+                        is_more = removed.rows_affected() == rows as u64;
+                    }
                 }
                 if !is_more {
                     sqlx::query(lock).bind(key).fetch_all(&mut *transaction).await?;
@@ -130,5 +139,43 @@ impl Store {
             step.await
         });
         removed.map(|()| true).map_err(failed)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use crate::gnss::Epoch;
+    use crate::store::EncodedEpoch;
+    use crate::store::sample::{answer, session, store};
+
+    use super::*;
+
+    /// The last steps of a deletion remove some of the kept snapshots each.
+    #[tokio::test]
+    async fn kept_snapshots_are_removed_in_steps() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = store(&folder).await;
+        let answer = answer(1, 0);
+        let epoch = Arc::new(Epoch::new(answer.solution.time));
+        let key = session(&store, vec![EncodedEpoch::new(epoch, &answer, 0, None, None)]).await;
+        let Pool::Sqlite { writer, .. } = &store.pool else { panic!("SQLite") };
+        let days = 2 * SNAPSHOTS_PER_STEP as i64 + 20;
+        for day in 0..days {
+            let keep = "INSERT INTO kept_snapshots (session, day, seq, configuration_hash, content)
+                        VALUES ($1, $2, 1, '', x'00')";
+            sqlx::query(keep).bind(key.0).bind(day).execute(writer).await.unwrap();
+        }
+        store.delete_session(key, 0, None).await.unwrap();
+        let left = async |table: &str| -> i64 {
+            let count = format!("SELECT COUNT(*) FROM {table}");
+            sqlx::query_scalar(&count).fetch_one(writer).await.unwrap()
+        };
+        for (kept, heads) in [(70, 1), (20, 1), (0, 0)] {
+            assert!(store.remove_deleted(500).await.unwrap());
+            assert_eq!((left("kept_snapshots").await, left("session_heads").await), (kept, heads));
+        }
+        assert!(!store.remove_deleted(500).await.unwrap());
     }
 }

@@ -5,6 +5,7 @@
 //! that the remaining epochs can be replayed. The first step hides all epochs that are to be
 //! removed from readers.
 
+use super::deletion::SNAPSHOTS_PER_STEP;
 use super::pool::{Pool, reading, writing};
 use super::{SessionKey, Store, StoreError, StoredSnapshot};
 
@@ -96,11 +97,12 @@ const REMOVE: [&str; 2] = [
 const REMOVE_MINUTES: &str = "DELETE FROM rollups WHERE session = $1 AND seconds = 60 \
     AND last_seq <= $2 AND begin_s IN (SELECT begin_s FROM rollups \
     WHERE session = $1 AND seconds = 60 AND last_seq <= $2 LIMIT $3)";
-/// Removes snapshots. The one from which the remaining epochs are replayed is kept, if there are
-/// any.
-const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 AND (seq < $2 \
+/// Removes some snapshots. The one from which the remaining epochs are replayed is kept, if there
+/// are any.
+const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 \
+    AND day IN (SELECT day FROM kept_snapshots WHERE session = $1 AND (seq < $2 \
     OR EXISTS (SELECT 1 FROM session_heads h WHERE h.session = $1 \
-    AND h.closed_unix_ms IS NOT NULL AND h.last_seq <= $2))";
+    AND h.closed_unix_ms IS NOT NULL AND h.last_seq <= $2)) LIMIT $3)";
 /// Removes the state of a closed session, which needs it no more.
 const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
     (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
@@ -214,8 +216,12 @@ impl Store {
                     is_more = removed.rows_affected() == epochs as u64;
                 }
                 if !is_more {
+                    let rows = epochs.min(SNAPSHOTS_PER_STEP);
                     let remove = sqlx::query(REMOVE_SNAPSHOTS).bind(key).bind(through);
-                    remove.execute(&mut *transaction).await?;
+                    let removed = remove.bind(rows as i64).execute(&mut *transaction).await?;
+                    is_more = removed.rows_affected() == rows as u64;
+                }
+                if !is_more {
                     sqlx::query(REMOVE_STATE).bind(key).execute(&mut *transaction).await?;
                     if expired.is_whole {
                         sqlx::query(NOTE_EMPTIED).bind(key).execute(&mut *transaction).await?;
