@@ -57,7 +57,8 @@ impl AidingDesk {
     }
 
     /// Opens the desk with the stored data and with calibrations of antennas. A base whose antenna
-    /// is among them has that calibration from its next epoch on.
+    /// is among them has that calibration from its next epoch on. In a cluster the leader sees to
+    /// this, by [`Self::calibrate_bases`].
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
@@ -68,15 +69,29 @@ impl AidingDesk {
     ) -> Result<Self, AidingError> {
         let antennas = Antennas::new(store.clone(), Arc::new(catalogue));
         let navigation = NavigationBroker::open(store.clone(), limits.clone()).await?;
-        let bases = BaseBroker::open(store, navigation.clone(), antennas.clone(), limits).await?;
-        if !antennas.is_empty() {
-            for id in bases.ids() {
-                if let Some(site) = bases.site(&id)? {
-                    bases.set_site(&id, &site).await?;
+        let bases = BaseBroker::open(store.clone(), navigation.clone(), antennas.clone(), limits);
+        let bases = bases.await?;
+        let is_alone = !store.is_of_cluster();
+        let desk = Self { navigation, bases, antennas, geoid: None };
+        if is_alone {
+            desk.calibrate_bases().await?;
+        }
+        Ok(desk)
+    }
+
+    /// Gives each base whose antenna is in the catalogue that calibration, from its next epoch on.
+    ///
+    /// # Errors
+    /// The store fails.
+    pub(crate) async fn calibrate_bases(&self) -> Result<(), AidingError> {
+        if !self.antennas.is_empty() {
+            for id in self.bases.ids() {
+                if let Some(site) = self.bases.site(&id)? {
+                    self.bases.set_site(&id, &site).await?;
                 }
             }
         }
-        Ok(Self { navigation, bases, antennas, geoid: None })
+        Ok(())
     }
 
     /// Reads from the store what other nodes of the cluster have stored.

@@ -190,6 +190,7 @@ impl Desk {
         if members.leader == self.own && !self.store.is_leader() {
             // Everything that the former leader has stored must be known first.
             aiding.follow().await?;
+            aiding.calibrate_bases().await?;
             self.store.become_leader();
             self.is_leader.send_replace(true);
             tracing::info!(node = self.store.node(), "this node leads the cluster");

@@ -285,6 +285,8 @@ const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, req
     WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
     AND NOT EXISTS (SELECT 1 FROM session_bases JOIN sessions ON sessions.key = session
     WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
+/// Locks the row of the leader while its fence is this one, so that no other node takes the lead.
+const LEADS: &str = "SELECT fence FROM leader WHERE fence = $1 FOR SHARE";
 const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 
 /// Binds the columns of a site after the key of its base.
@@ -428,7 +430,8 @@ impl Store {
     /// so a long push is stored in several.
     ///
     /// # Errors
-    /// The database fails. Nothing may then be considered stored.
+    /// Another node leads the cluster, or the database fails. Nothing may then be considered
+    /// stored.
     pub(crate) async fn push_base(
         &self,
         base: BaseKey,
@@ -438,6 +441,13 @@ impl Store {
         let pushed = writing!(&self.pool, pool => {
             let pushed = async {
                 let mut transaction = pool.begin().await?;
+                if let Some(fence) = self.fence() {
+                    let leads = sqlx::query_scalar(LEADS).bind(fence);
+                    let leads: Option<i64> = leads.fetch_optional(&mut *transaction).await?;
+                    if leads.is_none() {
+                        return Ok(Err(StoreError::NotLeader));
+                    }
+                }
                 if let Some((since, site)) = change.site {
                     site!(base, since, site).execute(&mut *transaction).await?;
                 }
@@ -454,11 +464,11 @@ impl Store {
                 let forget = sqlx::query(FORGET).bind(base.0).bind(change.first_kept as i64);
                 forget.execute(&mut *transaction).await?;
                 notify!(self, transaction, Change::Bases);
-                transaction.commit().await
+                transaction.commit().await.map(Ok)
             };
             pushed.await
         });
-        pushed.map_err(StoreError::database("storing a base's epochs"))
+        pushed.map_err(StoreError::database("storing a base's epochs"))?
     }
 
     /// Stores the calibration of a site's antenna, if it has one.

@@ -125,6 +125,9 @@ pub enum StoreError {
         /// Primary key of the base.
         base: i64,
     },
+    /// Another node leads the cluster.
+    #[error("another node leads the cluster, and only the leader writes to bases")]
+    NotLeader,
     /// A base that a session is to use has been deleted meanwhile.
     #[error("there is no base {id:?}")]
     BaseDeleted {
@@ -177,7 +180,7 @@ impl StoreError {
             | Self::Unconfirmed { .. }
             | Self::Down { .. }
             | Self::Lease { .. } => Code::DatabaseFailed,
-            Self::AlreadyStored => Code::WrittenElsewhere,
+            Self::AlreadyStored | Self::NotLeader => Code::WrittenElsewhere,
             Self::Corrupt { .. } | Self::CorruptText { .. } => Code::StoredDataCorrupt,
             Self::NavigationForgotten { .. } => Code::NavigationForgotten,
             Self::BaseForgotten { .. } => Code::BaseForgotten,

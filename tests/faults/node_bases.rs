@@ -9,6 +9,7 @@ use graphfix::aiding::bases::BaseId;
 use graphfix::aiding::{AidingDesk, AidingLimits};
 use graphfix::cluster::Cluster;
 use graphfix::contract::{convert, v1};
+use graphfix::formats::antex;
 use graphfix::formats::rinex::write_navigation;
 use graphfix::gnss::Navigation;
 use graphfix::grpc::v1::bases_client::BasesClient;
@@ -20,6 +21,7 @@ use serde_json::Value;
 use tokio::io::AsyncWriteExt;
 use tonic::transport::Channel;
 
+use crate::support::antex::antex as antex_file;
 use crate::support::casters::{HostileCaster, keep};
 use crate::support::database::{Database, on_postgres};
 use crate::support::device::{NEAR, fixed, logs, relative};
@@ -264,6 +266,41 @@ async fn a_caster_is_asked_by_the_next_leader() {
         eprintln!("fixed, relative and all before and after: {counts:?}");
         assert!(counts.iter().all(|(fixed, _, all)| all / 2 < *fixed), "{counts:?}");
         is_replayed(&database, &session);
+    })
+    .await;
+}
+
+/// A node that does not lead changes no base, also if it has another calibration of the antenna.
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn only_the_leader_writes_to_bases() {
+    on_postgres(async |database| {
+        let open = async |name: &str| {
+            let store = Store::open_in_cluster(&database.url, name, "http://127.0.0.1:1").await;
+            store.unwrap()
+        };
+        let (leading, following) = (open("leading").await, open("following").await);
+        let aiding = AidingDesk::open(leading.clone(), AidingLimits::service()).await.unwrap();
+        let _cluster = Cluster::open(&leading, &aiding).await.unwrap().unwrap();
+        let mut new = PAIR.new_base(0.0);
+        new.site.as_mut().unwrap().antenna = format!("{:<16}NONE", "BASE1");
+        let id = BaseId::parse(&aiding.bases.create(new).await.unwrap().name.id).unwrap();
+        aiding.bases.push(&id, vec![PAIR.base[0].clone()]).await.unwrap();
+        let file = antex_file(&[("BASE1", "     -5.00      0.00     60.00")]);
+        let catalogue = antex::read(file.as_bytes()).unwrap();
+        let limits = AidingLimits::service();
+        let other = AidingDesk::open_with(following.clone(), limits, catalogue).await.unwrap();
+        let site = other.bases.site(&id).unwrap().unwrap();
+        let error = other.bases.set_site(&id, &site).await.unwrap_err();
+        assert_eq!(error.code().name(), "WRITTEN_ELSEWHERE");
+        let error = other.bases.push(&id, vec![PAIR.base[1].clone()]).await.unwrap_err();
+        assert_eq!(error.code().name(), "WRITTEN_ELSEWHERE");
+        assert_eq!(
+            (database.count("base_sites").await, database.count("base_epochs").await),
+            (1, 1)
+        );
+        for store in [leading, following] {
+            store.close().await;
+        }
     })
     .await;
 }
