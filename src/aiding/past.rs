@@ -85,7 +85,8 @@ impl PastStates {
                 let mut state = PastState::of(&State::of(stored));
                 state.incomplete.extend(incomplete);
                 let ephemerides = state.shared.navigation.len();
-                (state, ephemerides * EPHEMERIS)
+                let bytes = ephemerides * EPHEMERIS + state.bytes_of_maps();
+                (state, bytes)
             }
         };
         let state = Arc::new(state);
@@ -110,7 +111,8 @@ impl Known {
             Some(near) => near,
             None => {
                 let present = Arc::new(PastState::of(&current));
-                self.insert(present.clone(), 0); // It shares its lists with the present state.
+                // It shares its lists with the present state, and has maps of its own.
+                self.insert(present.clone(), present.bytes_of_maps());
                 present
             }
         }
@@ -204,6 +206,11 @@ impl PastState {
             let map = Arc::make_mut(&mut self.devices[map_of(source)]);
             map.entry(source.into()).or_default()
         })
+    }
+
+    /// The memory of the maps of devices, without their lists.
+    fn bytes_of_maps(&self) -> usize {
+        self.devices.iter().map(|map| map.len() * ENTRY).sum()
     }
 
     /// The memory of the lists of these satellites and devices.
