@@ -49,16 +49,18 @@ impl Sessions {
         let (store, named) = (self.store(), request.as_ref());
         let _creating = self.admit_session().await?;
         let (tenant, now) = (self.tenant(), self.unix_ms());
-        let row = store.create_session_once(tenant, id.as_str(), &settings, now, named);
-        if let Some(row) = row.await? {
-            return Ok((self.info(id, row)?, true));
+        loop {
+            let row = store.create_session_once(tenant, id.as_str(), &settings, now, named);
+            if let Some(row) = row.await? {
+                return Ok((self.info(id, row)?, true));
+            }
+            // Another call with this name came first. If its session was deleted meanwhile, the
+            // name is free again.
+            let named = named.expect("only a named request can meet another of its name");
+            if let Some(before) = self.created_by(named).await? {
+                return Ok((before, false));
+            }
         }
-        // Another call with this name came first.
-        let before = match named {
-            Some(request) => self.created_by(request).await?,
-            None => None,
-        };
-        Ok((before.ok_or(SessionError::Interrupted)?, false))
     }
 
     /// Checks that the service can provide the output that the settings ask for.
