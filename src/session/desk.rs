@@ -369,6 +369,9 @@ impl Sessions {
 
     /// Makes watches of sessions of other nodes read the store again.
     pub(crate) fn wake_watches(&self) {
+        if !self.live().has_watches() {
+            return;
+        }
         let here: HashSet<SessionKey> = self.tasks().handles.values().map(|h| h.key).collect();
         self.live().publish_elsewhere(|key| here.contains(&key));
     }

@@ -86,7 +86,7 @@ impl Live {
     }
 
     /// Whether there is any watch, of any session.
-    fn has_watches(&self) -> bool {
+    pub(super) fn has_watches(&self) -> bool {
         self.watches.load(Ordering::Acquire) != 0
     }
 
@@ -107,9 +107,6 @@ impl Live {
 
     /// Does [`Self::publish_unknown`] for all watched sessions for which `is_here` is false.
     pub(super) fn publish_elsewhere(&self, is_here: impl Fn(SessionKey) -> bool) {
-        if !self.has_watches() {
-            return;
-        }
         let watched: Vec<SessionKey> = self.ring().watched.keys().copied().collect();
         watched.into_iter().filter(|key| !is_here(*key)).for_each(|key| self.publish_unknown(key));
     }
