@@ -58,11 +58,12 @@ fn check_credentials(user: &str, password: &str) -> Result<(), Refusal> {
     let is_text =
         |text: &str| text.len() <= CREDENTIAL_LIMIT && text.chars().all(|c| !c.is_control());
     if !is_text(user) || user.contains(':') {
-        let message = format!("a user is up to {CREDENTIAL_LIMIT} characters without a colon");
+        let message = format!("a user is up to {CREDENTIAL_LIMIT} bytes without a colon");
         return Err(refused("user", message));
     }
     if !is_text(password) {
-        let message = format!("a password is up to {CREDENTIAL_LIMIT} printable characters");
+        let message =
+            format!("a password is up to {CREDENTIAL_LIMIT} bytes without control characters");
         return Err(refused("password", message));
     }
     Ok(())
