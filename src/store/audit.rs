@@ -1,8 +1,9 @@
 //! The audit log: an entry for each administrative act, done or refused.
 //!
 //! The entry of an act is written in the act's transaction, so that neither is stored without the
-//! other. Entries are added, and removed once they are old. No statement of this program changes
-//! an entry, and a trigger of the database refuses any statement that does.
+//! other. An act with several transactions has its entry after the last of them. Entries are added,
+//! and removed once they are old. No statement of this program changes an entry, and a trigger of
+//! the database refuses any statement that does.
 
 use crate::id::{Id, Kind};
 use crate::refusal::Code;

@@ -145,7 +145,7 @@ impl Database {
         }
     }
 
-    /// Checks that the schema has the version that this program knows. Changes nothing.
+    /// Checks that the schema has the version that this program knows. Changes no row.
     pub(super) async fn check_schema(&self) -> Result<(), StoreError> {
         let failed = StoreError::database("reading the version of the schema");
         let newest = "SELECT MAX(version) FROM _sqlx_migrations WHERE success";
