@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 use tokio::time::{sleep, timeout};
 
 use crate::clock::{Clock, MS_PER_DAY, day_of};
-use crate::store::{Expired, Store, StoreError};
+use crate::store::{Expired, SessionKey, Store, StoreError};
 
 use super::SessionLimits;
 
@@ -37,18 +37,9 @@ const LOOK_INTERVAL: Duration = Duration::from_secs(60);
 /// Removes the rows of deleted sessions, and the epochs of deleted bases, at the start, once a
 /// minute, and whenever it is woken.
 pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
-    let step = async || {
-        let of_session = store.remove_deleted(EPOCHS_PER_STEP).await;
-        if matches!(of_session, Ok(true)) {
-            return of_session;
-        }
-        // Also after a failure, which may concern one session.
-        let of_base = store.remove_epochs_of_deleted_bases(EPOCHS_PER_STEP).await?;
-        if of_base { Ok(true) } else { of_session }
-    };
+    let mut failed = None;
     loop {
-        let removed: Result<bool, StoreError> = step().await;
-        match removed {
+        match remove_some(&store, &mut failed).await {
             Ok(true) => sleep(PAUSE).await,
             Ok(false) => drop(timeout(LOOK_INTERVAL, deleted.notified()).await),
             Err(error) => {
@@ -57,6 +48,18 @@ pub(super) async fn remove_deleted(store: Store, deleted: Arc<Notify>) {
             }
         }
     }
+}
+
+/// Removes some rows of a deleted session, or epochs of a deleted base. Returns whether there were
+/// any. After a failure the sessions behind the one that `failed` come first.
+async fn remove_some(store: &Store, failed: &mut Option<SessionKey>) -> Result<bool, StoreError> {
+    if let Some(session) = store.deleted_session(*failed).await? {
+        let removed = store.remove_deleted(session, EPOCHS_PER_STEP).await;
+        removed.inspect_err(|_| *failed = Some(session))?;
+        return Ok(true);
+    }
+    *failed = None;
+    store.remove_epochs_of_deleted_bases(EPOCHS_PER_STEP).await
 }
 
 /// Removes epochs that are older than their retention, and old entries of the audit log.

@@ -4,7 +4,12 @@ use super::audit::note;
 use super::pool::{Pool, reading, writing};
 use super::{AuditEntry, SessionKey, Store, StoreError};
 
-const DELETE: &str = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL WHERE key = $1";
+/// Something is left of it, also if its epochs have expired.
+const DELETE: &str = "UPDATE sessions SET deleted_unix_ms = $2, request_name = NULL, emptied = 0 \
+    WHERE key = $1";
+/// An index has these sessions, and no others.
+const TO_REMOVE: &str = "SELECT key FROM sessions \
+    WHERE deleted_unix_ms IS NOT NULL AND emptied = 0 AND key > $1 ORDER BY key LIMIT 1";
 /// Number of the epoch up to which a step removes epochs.
 const LAST_OF_STEP: &str =
     "SELECT seq FROM epochs WHERE session = $1 ORDER BY seq LIMIT 1 OFFSET $2";
@@ -57,9 +62,10 @@ const LEAVE_FLEET: [&str; 2] = [
     "DELETE FROM fleet_hours WHERE sessions <= 0 \
      AND tenant = (SELECT s.tenant FROM sessions s WHERE s.key = $1)",
 ];
-/// Erases the settings of a session. Its row and its id remain.
-const FORGET: &str =
-    "UPDATE sessions SET label = '', overrides = '{}', configuration = '{}' WHERE key = $1";
+/// Erases the settings of a session, and notes that nothing is left of it. Its row and its id
+/// remain.
+const FORGET: &str = "UPDATE sessions SET label = '', overrides = '{}', configuration = '{}', \
+    emptied = 1 WHERE key = $1";
 
 impl Store {
     /// Deletes a closed session, so that it is not found any more, and writes `entry` to the audit
@@ -86,23 +92,32 @@ impl Store {
         deleted.map_err(StoreError::database("deleting a session"))
     }
 
-    /// Removes up to `epochs` epochs of a deleted session, or all its other rows if it has no
-    /// epochs. Returns `false` if there is nothing to remove.
+    /// The first deleted session after `after` of which something is left.
     ///
     /// # Errors
     /// The database fails.
-    pub(crate) async fn remove_deleted(&self, epochs: usize) -> Result<bool, StoreError> {
-        let failed = StoreError::database("removing deleted sessions");
+    pub(crate) async fn deleted_session(
+        &self,
+        after: Option<SessionKey>,
+    ) -> Result<Option<SessionKey>, StoreError> {
+        let after = after.map_or(i64::MIN, |session| session.0);
         let found: Result<Option<i64>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT key FROM sessions JOIN session_heads ON session = key
-                       WHERE deleted_unix_ms IS NOT NULL LIMIT 1";
-            sqlx::query_scalar(sql).fetch_optional(pool).await
+            sqlx::query_scalar(TO_REMOVE).bind(after).fetch_optional(pool).await
         });
-        let key = match found {
-            Ok(Some(key)) => key,
-            Ok(None) => return Ok(false),
-            Err(error) => return Err(failed(error)),
-        };
+        let found = found.map_err(StoreError::database("finding deleted sessions"))?;
+        Ok(found.map(SessionKey))
+    }
+
+    /// Removes up to `epochs` epochs of a deleted session, or its other rows if it has no epochs.
+    ///
+    /// # Errors
+    /// The database fails.
+    pub(crate) async fn remove_deleted(
+        &self,
+        session: SessionKey,
+        epochs: usize,
+    ) -> Result<(), StoreError> {
+        let key = session.0;
         let lock = match &self.pool {
             Pool::Sqlite { .. } => hours_of_fleet!(""),
             Pool::Postgres { .. } => hours_of_fleet!(" FOR UPDATE"),
@@ -138,13 +153,15 @@ impl Store {
             };
             step.await
         });
-        removed.map(|()| true).map_err(failed)
+        removed.map_err(StoreError::database("removing deleted sessions"))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use std::sync::Arc;
+
+    use sqlx::{Connection, Row, SqliteConnection};
 
     use crate::gnss::Epoch;
     use crate::store::EncodedEpoch;
@@ -173,9 +190,22 @@ mod tests {
             sqlx::query_scalar(&count).fetch_one(writer).await.unwrap()
         };
         for (kept, heads) in [(70, 1), (20, 1), (0, 0)] {
-            assert!(store.remove_deleted(500).await.unwrap());
+            assert_eq!(store.deleted_session(None).await.unwrap(), Some(key));
+            assert_eq!(store.deleted_session(Some(key)).await.unwrap(), None);
+            store.remove_deleted(key, 500).await.unwrap();
             assert_eq!((left("kept_snapshots").await, left("session_heads").await), (kept, heads));
         }
-        assert!(!store.remove_deleted(500).await.unwrap());
+        assert_eq!(store.deleted_session(None).await.unwrap(), None);
+    }
+
+    /// The search reads an index that has the sessions with something to remove, and no others.
+    #[tokio::test]
+    async fn deleted_sessions_are_found_by_their_index() {
+        let mut database = SqliteConnection::connect("sqlite::memory:").await.unwrap();
+        sqlx::migrate!("migrations/sqlite").run_direct(&mut database).await.unwrap();
+        let explain = format!("EXPLAIN QUERY PLAN {TO_REMOVE}");
+        let plan = sqlx::query(&explain).bind(0).fetch_all(&mut database).await.unwrap();
+        let steps: Vec<String> = plan.iter().map(|step| step.get("detail")).collect();
+        assert!(matches!(&steps[..], [step] if step.contains("sessions_to_remove")), "{steps:?}");
     }
 }

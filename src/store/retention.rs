@@ -106,8 +106,10 @@ const REMOVE_SNAPSHOTS: &str = "DELETE FROM kept_snapshots WHERE session = $1 \
 /// Removes the state of a closed session, which needs it no more.
 const REMOVE_STATE: &str = "DELETE FROM snapshots WHERE session = $1 AND EXISTS \
     (SELECT 1 FROM session_heads h WHERE h.session = $1 AND h.closed_unix_ms IS NOT NULL)";
-/// Notes that nothing of a closed session is left.
-const NOTE_EMPTIED: &str = "UPDATE sessions SET emptied = 1 WHERE key = $1";
+/// Notes that nothing of a closed session is left, unless it was deleted meanwhile: its head is
+/// then still to be removed.
+const NOTE_EMPTIED: &str =
+    "UPDATE sessions SET emptied = 1 WHERE key = $1 AND deleted_unix_ms IS NULL";
 
 /// Sessions per query.
 const SESSIONS: i64 = 100;

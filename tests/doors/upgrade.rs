@@ -1,7 +1,7 @@
 //! Populated databases of earlier schemas are opened, listed, continued and replayed: that of the
 //! first with raw streams, feeds and archives (migrations 1 to 8, layouts 1 of epochs and 3 of
-//! solutions and snapshots), and that of the last with solutions in a table of their own (migration
-//! 16).
+//! solutions and snapshots), that of the last with solutions in a table of their own (migration 16),
+//! and those before some changes of rows (84, 86).
 
 use std::path::Path;
 
@@ -14,11 +14,13 @@ use sqlx::{Connection, PgConnection, SqliteConnection};
 
 use crate::support::database::{Database, on_both_databases, whole_session};
 use crate::support::sessions::{created, desk, epoch};
+use crate::support::wait::until;
 
 on_both_databases!(
     a_populated_database_of_the_eighth_schema_is_upgraded,
     a_populated_database_of_the_sixteenth_schema_is_upgraded,
     stored_navigation_data_have_their_accounts,
+    the_removal_of_deleted_sessions_goes_on,
 );
 
 const HASH: &str = "87fd338087fd338087fd338087fd338087fd338087fd338087fd338087fd3380";
@@ -289,4 +291,28 @@ async fn stored_navigation_data_have_their_accounts(database: Database) {
             assert_eq!(database.count(&of_account).await, rows, "{of_account}");
         }
     }
+}
+
+/// Of deleted sessions of schema 86, those with a head are removed and no others: also one of which
+/// the retention has removed all epochs.
+async fn the_removal_of_deleted_sessions_goes_on(database: Database) {
+    make_schema(&database, 86).await;
+    for (key, emptied, has_head) in [(1, 0, false), (2, 0, true), (3, 1, true)] {
+        let session = format!(
+            "INSERT INTO sessions (id, label, mode, profile, overrides, configuration, \
+             configuration_hash, created_unix_ms, closed_unix_ms, deleted_unix_ms, emptied) \
+             VALUES ('ses_{key}', 'left', 'spp', 'general', '{{}}', '{{}}', '{HASH}', 0, 1, 2, \
+             {emptied})"
+        );
+        database.execute(&session).await;
+        if has_head {
+            let head = "INSERT INTO session_heads (session, owner, fence)";
+            database.execute(&format!("{head} VALUES ({key}, '', 0)")).await;
+        }
+    }
+    let _sessions = desk(&database.store().await).await;
+    let left = async || database.count("sessions WHERE emptied = 0").await;
+    until("all are removed", left, |left| *left == 0).await;
+    assert_eq!(database.count("session_heads").await, 0);
+    assert_eq!(database.count("sessions WHERE label = 'left'").await, 1, "the one without a head");
 }
