@@ -7,9 +7,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::mem::size_of;
-use std::sync::{Arc, PoisonError, RwLock};
-
-use tokio::sync::Mutex;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 use crate::gnss::{Ephemeris, Navigation, SatelliteId};
 use crate::store::{
@@ -31,11 +29,16 @@ const ENTRY: usize = 128;
 /// Number of maps into which devices are divided, so that a change of one device copies few others.
 const MAPS: usize = 64;
 
+/// Reads of the store at a time. Each may read the changes of many pushes.
+const READS: usize = 2;
+
 /// The states that replay asked for recently.
 #[derive(Default)]
 pub(super) struct PastStates {
-    /// Locked while the store is read, because many sessions restored at once need the same push.
     known: Mutex<Known>,
+    /// Each is locked while the store is read for one of its pushes, because many sessions restored
+    /// at once need the same push.
+    reading: [tokio::sync::Mutex<()>; READS],
 }
 
 #[derive(Default)]
@@ -70,12 +73,15 @@ impl PastStates {
         store: &Store,
         current: &RwLock<State>,
     ) -> Result<PushedNavigation, StoreError> {
-        let (mut known, account) = (self.known.lock().await, account_of(device));
-        let state = known.states.get(&push).map(|(state, _)| state);
-        if let Some(state) = state.filter(|state| state.is_complete_for(account)) {
+        let account = account_of(device);
+        if let Some(state) = self.known().state(push, account) {
             return Ok(state.pushed_for(device));
         }
-        let nearest = known.nearest(push, account, current);
+        let _reading = self.reading[push as usize % READS].lock().await;
+        if let Some(state) = self.known().state(push, account) {
+            return Ok(state.pushed_for(device)); // Another session has needed it, too.
+        }
+        let nearest = self.known().nearest(push, account, current);
         let difference = store.navigation_difference(nearest.push, push, account).await?;
         let (state, bytes) = match difference {
             Some(difference) => nearest.changed(push, difference),
@@ -90,12 +96,22 @@ impl PastStates {
             }
         };
         let state = Arc::new(state);
-        known.insert(state.clone(), bytes);
+        self.known().insert(state.clone(), bytes);
         Ok(state.pushed_for(device))
+    }
+
+    fn known(&self) -> MutexGuard<'_, Known> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Known {
+    /// The state after a push, if it is known and complete for sessions of an account.
+    fn state(&self, push: u64, account: &str) -> Option<Arc<PastState>> {
+        let state = self.states.get(&push).map(|(state, _)| state);
+        state.filter(|state| state.is_complete_for(account)).cloned()
+    }
+
     /// The known state, or the present one, that is nearest to a push, of those that are complete
     /// for sessions of an account.
     fn nearest(&mut self, push: u64, account: &str, current: &RwLock<State>) -> Arc<PastState> {
