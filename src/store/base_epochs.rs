@@ -10,10 +10,12 @@ const LATER: &str = "SELECT e.base, e.number, e.gps_time_ns, e.stored_unix_ms, e
     JOIN base_epochs e ON e.base = k.base AND k.newest < e.number ORDER BY e.base, e.number";
 
 const DELETED: &str = "SELECT key FROM bases WHERE deleted_unix_ms IS NOT NULL \
-    AND EXISTS (SELECT 1 FROM base_epochs WHERE base = key) LIMIT 1";
+    AND (EXISTS (SELECT 1 FROM base_epochs WHERE base = key) \
+    OR EXISTS (SELECT 1 FROM base_sites WHERE base = key)) LIMIT 1";
 /// Their numbers are consecutive.
 const REMOVE_OLDEST: &str = "DELETE FROM base_epochs WHERE base = $1 \
     AND number < (SELECT MIN(number) FROM base_epochs WHERE base = $1) + $2";
+const REMOVE_SITES: &str = "DELETE FROM base_sites WHERE base = $1";
 
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
@@ -67,8 +69,8 @@ impl Store {
         rows.into_iter().map(read).collect()
     }
 
-    /// Removes at most `epochs` epochs of one deleted base. Returns whether a deleted base had
-    /// epochs.
+    /// Removes at most `epochs` epochs of one deleted base, or its sites if it has no epochs.
+    /// Returns whether a deleted base had any.
     ///
     /// # Errors
     /// The database fails.
@@ -86,8 +88,14 @@ impl Store {
             Err(error) => return Err(failed(error)),
         };
         let removed = writing!(&self.pool, pool => {
-            let remove = sqlx::query(REMOVE_OLDEST).bind(base).bind(epochs as i64);
-            remove.execute(pool).await.map(drop)
+            let step = async {
+                let remove = sqlx::query(REMOVE_OLDEST).bind(base).bind(epochs as i64);
+                if remove.execute(pool).await?.rows_affected() == 0 {
+                    sqlx::query(REMOVE_SITES).bind(base).execute(pool).await?;
+                }
+                Ok(())
+            };
+            step.await
         });
         removed.map(|()| true).map_err(failed)
     }

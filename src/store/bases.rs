@@ -403,7 +403,9 @@ impl Store {
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let sites: Result<Vec<RawSite>, _> = reading!(&self.pool, pool => {
-            let sql = "SELECT * FROM base_sites ORDER BY base, since";
+            let sql = "SELECT * FROM base_sites
+                       WHERE base IN (SELECT key FROM bases WHERE deleted_unix_ms IS NULL)
+                       ORDER BY base, since";
             sqlx::query_as(sql).fetch_all(pool).await
         });
         let kept = self.calibrations().await?;

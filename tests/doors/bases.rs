@@ -567,6 +567,8 @@ async fn the_epochs_of_a_deleted_base_are_removed_in_the_background(database: Da
     aiding.bases.delete(&base).await.unwrap();
     assert_eq!(database.count("base_epochs").await, 1_200);
     let _sessions = Sessions::open(store, aiding, SessionLimits::service());
-    let left = async || database.count("base_epochs").await;
-    until("removed", left, |count| *count == 0).await;
+    for table in ["base_epochs", "base_sites"] {
+        let left = async || database.count(table).await;
+        until("removed", left, |count| *count == 0).await;
+    }
 }
