@@ -1,21 +1,12 @@
-//! Reads the stored epochs of bases: all of one base, or those that other nodes have added. Removes
-//! those of deleted bases.
+//! Reads the stored epochs of bases: all of one base, or those that other nodes have added.
 
 use super::deadline::{BULK_DEADLINE, within};
-use super::pool::{Pool, reading, writing};
+use super::pool::{Pool, reading};
 use super::{BaseKey, Store, StoreError, StoredBaseEpoch};
 
 const LATER: &str = "SELECT e.base, e.number, e.gps_time_ns, e.stored_unix_ms, e.content \
     FROM UNNEST($1::bigint[], $2::bigint[]) AS k(base, newest) \
     JOIN base_epochs e ON e.base = k.base AND k.newest < e.number ORDER BY e.base, e.number";
-
-const DELETED: &str = "SELECT key FROM bases WHERE deleted_unix_ms IS NOT NULL \
-    AND (EXISTS (SELECT 1 FROM base_epochs WHERE base = key) \
-    OR EXISTS (SELECT 1 FROM base_sites WHERE base = key)) LIMIT 1";
-/// Their numbers are consecutive.
-const REMOVE_OLDEST: &str = "DELETE FROM base_epochs WHERE base = $1 \
-    AND number < (SELECT MIN(number) FROM base_epochs WHERE base = $1) + $2";
-const REMOVE_SITES: &str = "DELETE FROM base_sites WHERE base = $1";
 
 /// Number, GPS time (ns), time of storage (ms) and content of a base epoch.
 type BaseEpochRow = (i64, i64, i64, Vec<u8>);
@@ -67,36 +58,5 @@ impl Store {
             Ok((BaseKey(base), StoredBaseEpoch::of_row(number, ns, content)?, unix_ms))
         };
         rows.into_iter().map(read).collect()
-    }
-
-    /// Removes at most `epochs` epochs of one deleted base, or its sites if it has no epochs.
-    /// Returns whether a deleted base had any.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub(crate) async fn remove_epochs_of_deleted_bases(
-        &self,
-        epochs: usize,
-    ) -> Result<bool, StoreError> {
-        let failed = StoreError::database("removing epochs of deleted bases");
-        let found: Result<Option<i64>, _> = reading!(&self.pool, pool => {
-            sqlx::query_scalar(DELETED).fetch_optional(pool).await
-        });
-        let base = match found {
-            Ok(Some(base)) => base,
-            Ok(None) => return Ok(false),
-            Err(error) => return Err(failed(error)),
-        };
-        let removed = writing!(&self.pool, pool => {
-            let step = async {
-                let remove = sqlx::query(REMOVE_OLDEST).bind(base).bind(epochs as i64);
-                if remove.execute(pool).await?.rows_affected() == 0 {
-                    sqlx::query(REMOVE_SITES).bind(base).execute(pool).await?;
-                }
-                Ok(())
-            };
-            step.await
-        });
-        removed.map(|()| true).map_err(failed)
     }
 }

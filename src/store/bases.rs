@@ -13,7 +13,7 @@ use super::audit::note;
 use super::codec::{decode_epoch, encode_epoch};
 use super::feeds::{RawFeed, feed};
 use super::notices::{Change, notify};
-use super::pool::{Pool, reading, writing};
+use super::pool::{reading, writing};
 use super::{AuditEntry, BaseFeed, NamedRequest, Store, StoreError};
 
 /// Primary key of a base.
@@ -276,18 +276,8 @@ const UPSERT_SITE: &str = "INSERT INTO base_sites
 const INSERT_EPOCH: &str = "INSERT INTO base_epochs
     (base, number, gps_time_ns, stored_unix_ms, content) VALUES ($1, $2, $3, $4, $5)";
 const FORGET: &str = "DELETE FROM base_epochs WHERE base = $1 AND number < $2";
-/// Waits until no transaction stores a session that names the base, on Postgres. Only a later
-/// statement sees this session.
-const LOCK: &str = "SELECT key FROM bases WHERE key = $1 FOR UPDATE";
-/// Does nothing if an open session uses the base.
-const DELETE: &str = "UPDATE bases SET deleted_unix_ms = $2, archive = NULL, request_name = NULL
-    WHERE key = $1 AND NOT EXISTS (SELECT 1 FROM sessions
-    WHERE sessions.base = bases.key AND closed_unix_ms IS NULL)
-    AND NOT EXISTS (SELECT 1 FROM session_bases JOIN sessions ON sessions.key = session
-    WHERE session_bases.base = bases.key AND closed_unix_ms IS NULL)";
 /// Locks the row of the leader while its fence is this one, so that no other node takes the lead.
 const LEADS: &str = "SELECT fence FROM leader WHERE fence = $1 FOR SHARE";
-const DELETE_FEED: &str = "DELETE FROM base_feeds WHERE base = $1";
 
 /// Binds the columns of a site after the key of its base.
 macro_rules! site {
@@ -479,37 +469,5 @@ impl Store {
             Some(calibration) => self.keep_calibration(calibration).await,
             None => Ok(()),
         }
-    }
-
-    /// Deletes a base, unless an open session uses it. Returns whether it did.
-    /// [`Self::remove_epochs_of_deleted_bases`] frees its space.
-    ///
-    /// # Errors
-    /// The database fails.
-    pub(crate) async fn delete_base(
-        &self,
-        base: BaseKey,
-        unix_ms: i64,
-        entry: Option<&AuditEntry>,
-    ) -> Result<bool, StoreError> {
-        let deleted = writing!(&self.pool, pool => {
-            let deleted = async {
-                let mut transaction = pool.begin().await?;
-                if let Pool::Postgres { .. } = &self.pool {
-                    sqlx::query(LOCK).bind(base.0).execute(&mut *transaction).await?;
-                }
-                let delete = sqlx::query(DELETE).bind(base.0).bind(unix_ms);
-                let rows = delete.execute(&mut *transaction).await?.rows_affected();
-                if rows == 1 {
-                    sqlx::query(DELETE_FEED).bind(base.0).execute(&mut *transaction).await?;
-                    note!(self, transaction, entry);
-                    notify!(self, transaction, Change::Bases);
-                }
-                transaction.commit().await?;
-                Ok::<bool, sqlx::Error>(rows == 1)
-            };
-            deleted.await
-        });
-        deleted.map_err(StoreError::database("deleting a base"))
     }
 }

@@ -14,6 +14,7 @@
 
 mod antennas;
 mod audit;
+mod base_deletion;
 mod base_epochs;
 mod bases;
 mod chain;
