@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use crate::config::IntakeLimits;
 use crate::gnss::{
     Ecef, Epoch, FrameRefusal, GpsTime, LeapSeconds, LocalFrame, Odometry, OdometryFrame,
-    Presented, Provenance, RelativeEstimate, SatelliteId, SolutionEstimate, Status,
+    Presented, Provenance, RelativeEstimate, SolutionEstimate, Status,
 };
 use crate::refusal::Code;
 use crate::store::{Revisions, StoredSolution};
@@ -147,7 +147,7 @@ pub fn solution(presented: &Presented<'_>, stored: Stored<'_>) -> v1::Solution {
         clock: estimate.map(clock),
         dops: estimate.and_then(dops),
         satellites_used: estimate
-            .map(|e| e.satellites_used.iter().copied().map(name).collect())
+            .map(|e| e.satellites_used.iter().map(ToString::to_string).collect())
             .unwrap_or_default(),
         reasons: reasons(presented),
         provenance: Some(provenance(&solution.provenance, stored)),
@@ -155,17 +155,6 @@ pub fn solution(presented: &Presented<'_>, stored: Stored<'_>) -> v1::Solution {
         horizontal_protection_m: solution.protection.map(|levels| levels.horizontal_m),
         vertical_protection_m: solution.protection.map(|levels| levels.vertical_m),
     }
-}
-
-/// The name of a satellite, such as `G05`. An answer has some sixty of them, and the formatter
-/// takes more than twice as many instructions.
-fn name(SatelliteId { constellation, number }: SatelliteId) -> String {
-    let digit = |digit: u8| char::from(b'0' + digit);
-    let mut name = String::with_capacity(3);
-    name.push(constellation.letter());
-    name.push(digit(number / 10));
-    name.push(digit(number % 10));
-    name
 }
 
 /// The reasons of a solution, and why its position is not in the requested frame.
@@ -313,7 +302,7 @@ const fn covariance(matrix: &Matrix3<f64>) -> v1::Covariance {
 
 fn provenance(provenance: &Provenance, stored: Stored<'_>) -> v1::Provenance {
     let issue = |e: &crate::gnss::EphemerisIssue| v1::EphemerisIssue {
-        satellite: name(e.satellite),
+        satellite: e.satellite.to_string(),
         toe: Some(e.toe.into()),
         issue: e.issue,
     };
@@ -346,21 +335,5 @@ pub fn refusal(refusal: &Refusal) -> v1::Refusal {
         message: refusal.message.clone(),
         remedy: refusal.code.remedy().to_owned(),
         field: refusal.field.clone().unwrap_or_default(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use crate::gnss::Constellation;
-
-    use super::*;
-
-    #[test]
-    fn names_are_those_of_the_formatter() {
-        for constellation in Constellation::ALL {
-            for satellite in (1..=99).filter_map(|number| SatelliteId::new(constellation, number)) {
-                assert_eq!(name(satellite), satellite.to_string());
-            }
-        }
     }
 }
