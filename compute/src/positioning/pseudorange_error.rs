@@ -67,31 +67,16 @@ pub(super) fn extra_path_m(sin_elevation: f64) -> f64 {
     (0.5 * WALL_M * cos2 / sin_elevation.max(LOWEST_SINE)).max(EXTRA_PATH_MIN_M)
 }
 
-/// The likelihood at one residual.
+/// The likelihood at one residual s, with the derivatives of J by s (m), or by z = s/σ.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Evaluated {
+pub(super) struct LikelihoodAt {
     /// p(s) (1/m).
     pub(super) density: f64,
-    /// dJ/ds (1/m).
+    /// J′.
     pub(super) slope: f64,
-    /// Curvature of the bound of J in expectation maximisation (1/m²).
+    /// Curvature of the bound of J in expectation maximisation.
     pub(super) curvature: f64,
-    /// d²J/ds² (1/m²), negative where direct and reflected are about equally likely.
-    pub(super) information: f64,
-    /// γ_D: probability that the signal is direct, given its residual.
-    pub(super) direct: f64,
-}
-
-/// The likelihood at one whitened residual z = s/σ.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Whitened {
-    /// p(s) (1/m).
-    pub(super) density: f64,
-    /// dJ/dz.
-    pub(super) slope: f64,
-    /// Curvature of the bound of J in expectation maximisation, in z.
-    pub(super) curvature: f64,
-    /// d²J/dz², negative where direct and reflected are about equally likely.
+    /// J″, negative where direct and reflected are about equally likely.
     pub(super) information: f64,
     /// γ_D: probability that the signal is direct, given its residual.
     pub(super) direct: f64,
@@ -118,7 +103,7 @@ impl PseudorangeError {
 
     /// See [`Likelihood::evaluate`].
     #[cfg(test)]
-    fn evaluate(&self, s_m: f64) -> Evaluated {
+    fn evaluate(&self, s_m: f64) -> LikelihoodAt {
         self.likelihood().evaluate(s_m)
     }
 
@@ -140,27 +125,26 @@ impl Likelihood {
         }
     }
 
-    /// The likelihood at s = measured − modelled (m), with slope and curvatures of J.
-    pub(super) fn evaluate(&self, s_m: f64) -> Evaluated {
+    /// The likelihood at s = measured − modelled (m), with the derivatives of J by s.
+    pub(super) fn evaluate(&self, s_m: f64) -> LikelihoodAt {
         let per_m = self.per_sigma_m;
-        let Whitened { density, slope, curvature, information, direct } = self.weigh(s_m * per_m);
+        let at = self.evaluate_whitened(s_m * per_m);
         let per_m2 = per_m * per_m;
-        Evaluated {
-            density,
-            slope: slope * per_m,
-            curvature: curvature * per_m2,
-            information: information * per_m2,
-            direct,
+        LikelihoodAt {
+            slope: at.slope * per_m,
+            curvature: at.curvature * per_m2,
+            information: at.information * per_m2,
+            ..at
         }
     }
 
-    /// The likelihood at z = s/σ, with slope and curvatures of J in z.
+    /// The likelihood at z = s/σ, with the derivatives of J by z.
     ///
     /// `curvature` is that of the bound in expectation maximisation, which treats γ_D and γ_R as
     /// known. The curvature of J is smaller by the missing information: Louis (1982), *Finding the
     /// observed information matrix when using the EM algorithm*, (3.2).
     #[inline]
-    pub(super) fn weigh(&self, z: f64) -> Whitened {
+    pub(super) fn evaluate_whitened(&self, z: f64) -> LikelihoodAt {
         let (direct, late, hazard) = self.joint_densities(z);
         let density = direct + late + FAULT_DENSITY;
         let per_density = density.recip();
@@ -171,7 +155,7 @@ impl Likelihood {
         let curvature = direct + late * hazard * (u + hazard);
         // The missing information is the variance of the slope over direct, reflected and fault.
         let missing = direct * z * z + late * on_late * on_late - slope * slope;
-        Whitened { density, slope, curvature, information: curvature - missing, direct }
+        LikelihoodAt { density, slope, curvature, information: curvature - missing, direct }
     }
 
     /// p(s) alone (1/m), at s = measured − modelled (m).

@@ -8,7 +8,7 @@ use crate::snapshot::snapshot_fields;
 use super::Measurement;
 use super::factors::{DopplerFactor, Line, PseudorangeFactor, Sight, State};
 use super::log_product::LogProduct;
-use super::pseudorange_error::{Likelihood, PseudorangeError, Whitened};
+use super::pseudorange_error::{Likelihood, LikelihoodAt, PseudorangeError};
 use super::velocity::{CN0_IF_MISSING_DB_HZ, variance_m2_s2};
 use crate::graph::median;
 
@@ -181,7 +181,7 @@ impl Ranging {
     pub(super) fn judge(&self, residual: f64, kernel: &Kernel, losses: &mut RangeLosses) -> Judged {
         match self.likelihood().filter(|_| kernel.law != Law::Huber) {
             Some(likelihood) => {
-                let at = likelihood.weigh(-residual);
+                let at = likelihood.evaluate_whitened(-residual);
                 losses.mixture.add(at.density);
                 Judged::of_mixture(&at)
             }
@@ -214,7 +214,7 @@ impl Ranging {
             let (pull, is_accepted) = (weight * residual, USED_WEIGHT <= weight);
             return Influence { constellation, pull, weight, slope, is_accepted };
         };
-        let at = likelihood.weigh(-residual);
+        let at = likelihood.evaluate_whitened(-residual);
         Influence {
             constellation,
             pull: -at.slope,
@@ -324,8 +324,8 @@ impl Judged {
     /// Weight below which a row is ignored.
     const NEGLIGIBLE: f64 = 1e-9;
 
-    fn of_mixture(at: &Whitened) -> Self {
-        let Whitened { slope, curvature: weight, direct, .. } = *at;
+    fn of_mixture(at: &LikelihoodAt) -> Self {
+        let LikelihoodAt { slope, curvature: weight, direct, .. } = *at;
         if weight < Self::NEGLIGIBLE {
             return Self { residual: 0.0, weight: 0.0, direct };
         }
