@@ -167,7 +167,7 @@ impl Measurements {
             // D1 has no group delay of B1C and B2a, B-CNAV has. LNAV has none of L5, CNAV has.
             let measured = |delays| {
                 closest.clone().find_map(|ephemeris| {
-                    measurement(epoch.time, ephemeris, observations, options, delays)
+                    measurement(epoch, ephemeris, observations, options, delays)
                 })
             };
             let stated = measured(Delays::Stated);
@@ -244,7 +244,7 @@ impl Measurement {
         let in_force = ephemerides_in_force(navigation, self.satellite, epoch.time, reach_s);
         let delays = Delays::allowed(bands);
         let others = in_force.filter_map(|ephemeris| {
-            let other = measurement(epoch.time, ephemeris, observations, options, delays)?;
+            let other = measurement(epoch, ephemeris, observations, options, delays)?;
             Some(Self {
                 corrected_range_m: other.pseudorange_m + atmosphere_m,
                 variance_m2: self.variance_m2,
@@ -275,7 +275,7 @@ impl Delays {
 
 /// The measurement of one satellite, before [`Measurements::place`].
 fn measurement(
-    tag: GpsTime,
+    epoch: &Epoch,
     ephemeris: &Ephemeris,
     observations: &[Observation],
     options: &PositioningOptions,
@@ -291,7 +291,12 @@ fn measurement(
     if options.ionosphere == IonosphereModel::IonosphereFree && second.is_none() {
         return None;
     }
-    let state = state_at_transmission(ephemeris, tag, main.pseudorange_m);
+    let state = state_at_transmission(ephemeris, epoch.time, main.pseudorange_m);
+    let phase = |observation: &Observation, frequency_hz| {
+        let phase = carrier_phase(observation, frequency_hz, &state)?;
+        let loss_of_lock = phase.loss_of_lock || epoch.power_failure;
+        Some(CarrierPhase { loss_of_lock, ..phase })
+    };
     let observation = main.observation;
     let wavelength_m = SPEED_OF_LIGHT / main.frequency_hz;
     Some(Measurement {
@@ -312,13 +317,13 @@ fn measurement(
             gamma: (main.frequency_hz / second.frequency_hz).powi(2),
             cn0_db_hz: second.observation.cn0_db_hz,
             noise_m2: f64::INFINITY,
-            phase: carrier_phase(second.observation, second.frequency_hz, &state),
+            phase: phase(second.observation, second.frequency_hz),
         }),
         range_rate_m_s: observation
             .doppler_hz
             .filter(|doppler_hz| doppler_hz.is_finite())
             .map(|doppler_hz| -wavelength_m * doppler_hz + state.clock_drift_m_s),
-        phase: carrier_phase(observation, main.frequency_hz, &state),
+        phase: phase(observation, main.frequency_hz),
         cn0_db_hz: observation.cn0_db_hz,
         look: LookAngles { azimuth_rad: 0.0, elevation_rad: 0.0 },
         noise_m2: f64::INFINITY,
@@ -419,7 +424,7 @@ fn best_of_first_band<'a>(
 mod tests {
     use super::*;
     use crate::config::{Mode, Profile};
-    use crate::gnss::{GroupDelays, KeplerianEphemeris, NavigationMessage};
+    use crate::gnss::{Cycles, GroupDelays, KeplerianEphemeris, NavigationMessage};
     use crate::simulation::{Scenario, navigation};
 
     /// D1 has no group delay of B1C, B-CNAV has one of 4 ns. B1I is measured with D1, and with
@@ -461,6 +466,28 @@ mod tests {
             assert!((delay_m - delay_s * SPEED_OF_LIGHT).abs() < 1e-6, "{code:?} {delay_m}");
         }
     }
+
+    /// After a power failure no phase continues that of the epoch before.
+    #[test]
+    fn a_power_failure_loses_all_phases() {
+        let broadcast = navigation(&Scenario::open_sky());
+        let (satellite, list) = broadcast.satellites().next().unwrap();
+        let code = ObservationCode::parse("1C").unwrap();
+        let observation = Observation {
+            pseudorange_m: Some(2.2e7),
+            carrier_phase: Some(Cycles(1e8)),
+            ..Observation::empty(satellite, code)
+        };
+        for power_failure in [false, true] {
+            let observations = vec![observation];
+            let epoch = Epoch { observations, power_failure, ..Epoch::new(list[0].toe()) };
+            let options = PositioningOptions::new(Mode::Fgo, Profile::General);
+            let mut measurements = Measurements::default();
+            measurements.gather(&epoch, &broadcast, &options, ReceiverBands::AGREEING);
+            assert_eq!(measurements.list[0].phase.unwrap().loss_of_lock, power_failure);
+        }
+    }
+
     /// A GPS satellite that is received on L5 alone. LNAV states no delay of L5, so one is assumed;
     /// CNAV states T_GD − ISC_L5Q5.
     #[test]
