@@ -198,6 +198,7 @@ impl ErrorModel {
 mod tests {
     use super::*;
     use crate::gnss::{Ecef, GpsTime, LocalFrame};
+    use crate::graph::Kernel;
     use crate::positioning::factors::{PseudorangeFactor, Sight};
 
     const RADIUS_M: f64 = 6_378_137.0;
@@ -230,6 +231,15 @@ mod tests {
             }
         };
         (directions.map(line).to_vec(), (0..5).map(range).collect())
+    }
+
+    /// Under Huber's kernel of width 1 a residual of four standard deviations has the weight ¼, the
+    /// least of a pseudorange that is used.
+    #[test]
+    fn a_pseudorange_is_rejected_below_the_weight_of_a_used_one() {
+        let (_, ranges) = ranges();
+        let is_accepted = |s| ranges[0].influence(s, &Kernel::huber(1.0)).is_accepted;
+        assert!(is_accepted(3.99) && is_accepted(-3.99) && !is_accepted(4.01));
     }
 
     fn stated(formal_m2: f64, errors: ErrorModel) -> Matrix3<f64> {

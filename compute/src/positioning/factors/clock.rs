@@ -76,9 +76,13 @@ impl ClockFactor {
 
     /// The same if the code's clock moves against the integral of the drift: the expected step is
     /// added to J, and its squared scale to σ₁².
-    pub(in crate::positioning) fn with_step_prior(self, tie: ClockStepPrior) -> Self {
-        let variance_m2 = self.inverse_clock.powi(-2) + tie.scale_m2;
-        Self { jump_m: self.jump_m + tie.mean_m, inverse_clock: variance_m2.sqrt().recip(), ..self }
+    pub(in crate::positioning) fn with_step_prior(self, prior: ClockStepPrior) -> Self {
+        let variance_m2 = self.inverse_clock.powi(-2) + prior.scale_m2;
+        Self {
+            jump_m: self.jump_m + prior.mean_m,
+            inverse_clock: variance_m2.sqrt().recip(),
+            ..self
+        }
     }
 
     /// r₁ and its Jacobian on [b; d] and [b₊; d₊].
@@ -132,7 +136,7 @@ mod tests {
 
     /// σ₁² = 0.3² + 0.6²/12 + 4 m²; 12 − 5 − 11.75 − 30 m over its root.
     #[test]
-    fn a_tie_moves_and_loosens_the_clock() {
+    fn a_step_prior_moves_and_loosens_the_clock() {
         let factor = ClockFactor::new(&WALK, 1.0, Some(5.0));
         let tied = factor.with_step_prior(ClockStepPrior { mean_m: 30.0, scale_m2: 4.0 });
         let residual = tied.clock_row(&state(), &next_state()).residual;

@@ -220,7 +220,7 @@ impl Chain {
         let clock_m = self.start_clocks(&mut guess, scratch);
         if let (Some(interval_s), Some(before)) = (interval_s, self.estimate.states.last()) {
             let factors = &mut scratch.factors;
-            factors.tie = Some(self.tie(interval_s, clock_m, setup));
+            factors.link = Some(self.link(interval_s, clock_m, setup));
             factors.phase_clock =
                 setup.learns.then(|| self.receiver.phase_against_pseudorange(interval_s));
             if options.phase {
@@ -369,8 +369,8 @@ impl Chain {
         clock_m
     }
 
-    /// The tie to the previous epoch.
-    fn tie(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> EpochLink {
+    /// The link to the previous epoch, besides phases.
+    fn link(&self, interval_s: f64, clock_m: Option<f64>, setup: &Setup) -> EpochLink {
         if setup.options.graph.motion {
             let jump_m = jump_m(clock_m.unwrap_or(0.0), interval_s);
             let motion = MotionFactor::new(&setup.motion, interval_s);

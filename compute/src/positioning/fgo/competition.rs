@@ -153,6 +153,7 @@ impl Chain {
             a.satellite.cmp(&b.satellite).then(a.excess_m.total_cmp(&b.excess_m))
         });
         let independent = f64::min(independent, 1.0);
+        // The upper median is the excess of one epoch, whose error model is used.
         let middle = |of_satellite: &[Excess]| {
             let Excess { excess_m, source, .. } = of_satellite[of_satellite.len() / 2];
             let pooled = match source {

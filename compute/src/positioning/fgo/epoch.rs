@@ -159,10 +159,11 @@ pub(super) struct Factors {
     pub(super) rates: Vec<DopplerFactor>,
     /// From the previous epoch to this one.
     pub(super) phases: Vec<PhaseDifferenceFactor>,
-    /// Tie between the clocks of carrier phase and of pseudoranges; `None` if both are the same.
+    /// Prior of the step of the phases' clock against that of the pseudoranges; `None` if both are
+    /// one clock.
     pub(super) phase_clock: Option<ClockStepPrior>,
     /// From the previous epoch to this one; `None` for the first of a chain.
-    pub(super) tie: Option<EpochLink>,
+    pub(super) link: Option<EpochLink>,
     /// From the previous epoch to this one: one or none, in a list because most epochs have none.
     pub(super) odometry: Vec<OdometryFactor>,
     /// Present if the receiver has been at rest since the previous epoch.
@@ -189,7 +190,7 @@ snapshot_fields!(Factors {
     rates,
     phases,
     phase_clock,
-    tie,
+    link,
     odometry,
     standstill,
     components,
@@ -216,7 +217,7 @@ impl Factors {
         self.without_ephemeris.clear();
         self.ionosphere_fallback = None;
         self.unused_odometry_s = None;
-        self.tie = None;
+        self.link = None;
         self.odometry.clear();
         self.standstill = None;
         self.doppler_velocity_m_s = None;
@@ -231,7 +232,7 @@ impl Factors {
 
     /// Whether the velocity of its state is estimated.
     pub(super) fn carries_velocity(&self) -> bool {
-        !matches!(self.tie, Some(EpochLink::DopplerVelocity(_)))
+        !matches!(self.link, Some(EpochLink::DopplerVelocity(_)))
     }
 
     /// Lines of sight to its satellites from the position of `state`.
@@ -270,7 +271,7 @@ impl Factors {
     }
 
     /// Adds the factors between this epoch, state `k + 1`, and the previous one, state `k`.
-    fn add_tie_to(
+    fn add_link_to(
         &self,
         k: usize,
         estimate: &Estimate<STATE>,
@@ -291,7 +292,7 @@ impl Factors {
                 system.add(k + 1, &standstill.velocity_row(axis, next), &Kernel::QUADRATIC);
             }
         }
-        match &self.tie {
+        match &self.link {
             None => {}
             Some(EpochLink::DopplerVelocity(factor)) => factor.add_to(k, estimate, system),
             Some(EpochLink::Motion(motion, clock)) => {
@@ -335,18 +336,18 @@ impl Factors {
         let step = self
             .phase_clock
             .zip(middle_m)
-            .map(|(tie, middle_m)| clock_step(tie, middle_m, phases, &kernels.phase));
-        let step_m = step.map_or(0.0, |(step_m, _)| step_m);
+            .map(|(prior, middle_m)| clock_step(prior, middle_m, phases, &kernels.phase));
+        let step_m = step.unwrap_or(0.0);
         let mut sum = LinkSum::ZERO;
         for SeenPhase { link, inverse_sigma, direct } in phases {
             link.residual += step_m * *inverse_sigma;
             let kernel = kernels.phase.scaled(*direct);
             sum.add(link, system.weigh(link.residual, &kernel));
         }
-        if let (Some(tie), Some((_, information))) = (self.phase_clock, step) {
-            let off_m = step_m - tie.mean_m;
-            system.add_cost(1.5 * (off_m * off_m / (3.0 * tie.scale_m2)).ln_1p());
-            sum.free_offset(CLOCK_INDEX, off_m, information);
+        if let (Some(prior), Some(step_m)) = (self.phase_clock, step) {
+            let (off_m, per_m) = (step_m - prior.mean_m, prior.scale_m2.sqrt().recip());
+            let weight = system.weigh(off_m * per_m, &student());
+            sum.free_offset(CLOCK_INDEX, off_m, weight * per_m * per_m);
         }
         system.add_link_sum(k, (&POSITION_AND_CLOCK, &POSITION_AND_CLOCK), &sum);
     }
@@ -370,20 +371,15 @@ impl Factors {
     }
 }
 
-/// The likeliest step of the phase clock against the pseudorange clock (m), and the information of
-/// its tie at this step (1/m²). The iteration starts at `start_m`.
-fn clock_step(
-    tie: ClockStepPrior,
-    start_m: f64,
-    phases: &[SeenPhase],
-    kernel: &Kernel,
-) -> (f64, f64) {
-    let prior = tie.scale_m2.recip();
-    let (mut step_m, mut information) = (start_m, prior);
+/// The likeliest step of the phase clock against the pseudorange clock (m). The iteration starts at
+/// `start_m`.
+fn clock_step(prior: ClockStepPrior, start_m: f64, phases: &[SeenPhase], kernel: &Kernel) -> f64 {
+    let (per_m, prior_kernel) = (prior.scale_m2.sqrt().recip(), student());
+    let mut step_m = start_m;
     for _ in 0..CLOCK_ITERATIONS {
-        let off_m = step_m - tie.mean_m;
-        information = prior / (1.0 + off_m * off_m * prior / 3.0);
-        let (mut weight, mut pull) = (information, -information * tie.mean_m);
+        let trust = prior_kernel.weight((step_m - prior.mean_m) * per_m);
+        let information = trust * per_m * per_m;
+        let (mut weight, mut pull) = (information, -information * prior.mean_m);
         for SeenPhase { link: Link { residual, .. }, inverse_sigma, direct } in phases {
             let trust = kernel.scaled(*direct).weight(residual + inverse_sigma * step_m);
             weight += trust * inverse_sigma * inverse_sigma;
@@ -394,7 +390,7 @@ fn clock_step(
             break;
         }
     }
-    (step_m, information)
+    step_m
 }
 
 impl Snapshot for EpochLink {
@@ -416,7 +412,7 @@ impl Snapshot for EpochLink {
         match reader.u8()? {
             0 => Ok(Self::Motion(Snapshot::load(reader)?, Snapshot::load(reader)?)),
             1 => Ok(Self::DopplerVelocity(Snapshot::load(reader)?)),
-            _ => Err(reader.invalid("tie")),
+            _ => Err(reader.invalid("link of epochs")),
         }
     }
 }
@@ -459,7 +455,7 @@ impl Rows<'_> {
         first.add_to(0, estimate, &kernels, before, system);
         let factors = &second.factors;
         factors.look(&estimate.states[1], &estimate.border, &kernels.pseudorange, seen);
-        factors.add_tie_to(0, estimate, &kernels, [before, seen], system);
+        factors.add_link_to(0, estimate, &kernels, [before, seen], system);
     }
 }
 
@@ -477,7 +473,7 @@ impl Problem<STATE> for Rows<'_> {
             std::mem::swap(before, seen);
             epoch.add_to(k, estimate, &kernels, seen, system);
             if 0 < k {
-                epoch.factors.add_tie_to(k - 1, estimate, &kernels, [before, seen], system);
+                epoch.factors.add_link_to(k - 1, estimate, &kernels, [before, seen], system);
             }
         }
     }

@@ -20,13 +20,14 @@ impl Chain {
         let ([.., newest], [.., state]) = (&*self.epochs, &**states) else { return };
         let factors = &newest.factors;
         factors.see(state, lines);
-        let code = factors.ranges.iter().zip(&*signals).map(|(range, signal)| PseudorangeExcess {
-            satellite: range.satellite,
-            signal: *signal,
-            sigma_m: range.factor.inverse_sigma.recip(),
-            excess_m: range.excess_m(lines, state, border),
-        });
-        let code: Vec<_> = code.collect();
+        let pseudorange =
+            factors.ranges.iter().zip(&*signals).map(|(range, signal)| PseudorangeExcess {
+                satellite: range.satellite,
+                signal: *signal,
+                sigma_m: range.factor.inverse_sigma.recip(),
+                excess_m: range.excess_m(lines, state, border),
+            });
+        let pseudorange: Vec<_> = pseudorange.collect();
         let doppler: Vec<_> = factors.rates.iter().map(|r| r.linearize(state).residual).collect();
         let mut phase = Vec::new();
         if let ([.., last, _], [.., earlier, _]) = (&*self.epochs, &**states) {
@@ -36,7 +37,7 @@ impl Chain {
         }
         let fit = PostFit {
             time: newest.time,
-            code: &code,
+            pseudorange: &pseudorange,
             doppler: &doppler,
             phase: &phase,
             state,

@@ -56,7 +56,7 @@ fn flat(_: f64) -> f64 {
 }
 
 impl Steps {
-    fn tie(&self, interval_s: f64) -> ClockStepPrior {
+    fn step_prior(&self, interval_s: f64) -> ClockStepPrior {
         let (mean, deviation) = self.octave.moments();
         let scale_m = FIRST_M * (mean + PLAUSIBLE * deviation).exp2();
         ClockStepPrior {
@@ -154,13 +154,13 @@ impl ClockCoupling {
     /// Prior of the step of the pseudoranges' clock over `interval_s`, against the integral of the
     /// Doppler's drift.
     pub(super) fn pseudorange_against_doppler(&self, interval_s: f64) -> ClockStepPrior {
-        self.pseudorange_minus_doppler.tie(interval_s)
+        self.pseudorange_minus_doppler.step_prior(interval_s)
     }
 
     /// Prior of the step of the phases' clock against the pseudoranges' over `interval_s`.
     pub(super) fn phase_against_pseudorange(&self, interval_s: f64) -> ClockStepPrior {
-        let tie = self.pseudorange_minus_phase.tie(interval_s);
-        ClockStepPrior { mean_m: -tie.mean_m, ..tie }
+        let prior = self.pseudorange_minus_phase.step_prior(interval_s);
+        ClockStepPrior { mean_m: -prior.mean_m, ..prior }
     }
 }
 
@@ -177,10 +177,10 @@ mod tests {
             let common = 30.0 + 0.5 * f64::from(k % 3 - 1);
             steps.learn(1.0, &mut [-1.0, -0.5, 0.0, 0.5, 1.0].map(|noise| common + noise));
         }
-        let tie = steps.tie(1.0);
-        assert!((tie.mean_m - 30.0).abs() < 0.5, "{}", tie.mean_m);
-        assert!(tie.scale_m2.sqrt() < 2.0, "{}", tie.scale_m2);
-        assert!((steps.tie(2.0).scale_m2 / tie.scale_m2 - 2.0).abs() < 1e-12);
+        let prior = steps.step_prior(1.0);
+        assert!((prior.mean_m - 30.0).abs() < 0.5, "{}", prior.mean_m);
+        assert!(prior.scale_m2.sqrt() < 2.0, "{}", prior.scale_m2);
+        assert!((steps.step_prior(2.0).scale_m2 / prior.scale_m2 - 2.0).abs() < 1e-12);
     }
 
     /// Without data, or with too few satellites, nothing is tied: the scale is above 100 m/√s.
@@ -188,7 +188,7 @@ mod tests {
     fn nothing_is_tied_without_evidence() {
         let mut steps = Steps::default();
         steps.learn(1.0, &mut [0.0; 3]);
-        assert!(1e4 < steps.tie(1.0).scale_m2);
+        assert!(1e4 < steps.step_prior(1.0).scale_m2);
     }
 
     /// A jump by whole milliseconds of the pseudoranges alone is corrected elsewhere: it is not a
@@ -198,6 +198,6 @@ mod tests {
         let mut steps = Steps::default();
         let millisecond_m = whole_milliseconds_m(3e5);
         (0..60).for_each(|_| steps.learn(1.0, &mut [millisecond_m; 5]));
-        assert!(steps.tie(1.0).mean_m.abs() < 1e-6 && steps.tie(1.0).scale_m2 < 0.1);
+        assert!(steps.step_prior(1.0).mean_m.abs() < 1e-6 && steps.step_prior(1.0).scale_m2 < 0.1);
     }
 }

@@ -63,7 +63,7 @@ fn kept(interval_s: f64) -> f64 {
 /// Estimated properties of one receiver.
 #[derive(Debug, Default)]
 pub(super) struct ReceiverModel {
-    code: PseudorangeNoise,
+    pseudorange: PseudorangeNoise,
     doppler: NoiseScale,
     phase: NoiseScale,
     memory: ErrorMemory,
@@ -79,7 +79,7 @@ pub(super) struct ReceiverModel {
 }
 
 state_fields!(ReceiverModel {
-    code,
+    pseudorange,
     doppler,
     phase,
     memory,
@@ -97,7 +97,7 @@ pub(super) struct PostFit<'a> {
     /// Its time.
     pub(super) time: GpsTime,
     /// Residuals of the pseudoranges.
-    pub(super) code: &'a [PseudorangeExcess],
+    pub(super) pseudorange: &'a [PseudorangeExcess],
     /// Residuals of Doppler over the standard deviation in force.
     pub(super) doppler: &'a [f64],
     /// Residuals of phase differences over the standard deviation in force, without the clock's
@@ -129,10 +129,10 @@ impl ReceiverModel {
         self.unlearnt_s += interval_s;
         if LEARNING_S <= self.unlearnt_s {
             let share = self.independent_share(self.unlearnt_s);
-            self.code.learn(self.unlearnt_s, share, fit.code);
+            self.pseudorange.learn(self.unlearnt_s, share, fit.pseudorange);
             self.unlearnt_s = 0.0;
         }
-        self.memory.learn(interval_s, fit.code);
+        self.memory.learn(interval_s, fit.pseudorange);
         self.doppler.learn(interval_s, fit.doppler);
         self.phase.learn(interval_s, fit.phase);
         self.vertical.learn(interval_s, fit.state, fit.covariance);
@@ -144,12 +144,12 @@ impl ReceiverModel {
         constellation: Constellation,
         signal: &Signal,
     ) -> PseudorangeError {
-        self.code.error(constellation, signal)
+        self.pseudorange.error(constellation, signal)
     }
 
     /// Forgets the noise of pseudoranges, which was learnt at a wrong position.
     pub(super) fn forget_pseudorange_noise(&mut self) {
-        self.code = PseudorangeNoise::default();
+        self.pseudorange = PseudorangeNoise::default();
     }
 
     /// Independent share of a pseudorange's information, `spacing_s` after the last pseudorange of
@@ -187,5 +187,37 @@ impl ReceiverModel {
     /// Whether the newest Doppler of a measurement's signal repeats the value before.
     pub(super) fn repeats_rate(&self, measurement: &Measurement) -> bool {
         self.rates.repeats(measurement)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn learn(model: &mut ReceiverModel, time: GpsTime, doppler: &[f64]) {
+        let (state, covariance) = (State::zeros(), SMatrix::identity());
+        model.learn(&PostFit {
+            time,
+            pseudorange: &[],
+            doppler,
+            phase: &[],
+            state: &state,
+            covariance: &covariance,
+        });
+    }
+
+    /// Eight Doppler residuals of four standard deviations an epoch raise their factor. After 20
+    /// time constants without an epoch it is that of the prior, to e⁻²⁰ of the evidence.
+    #[test]
+    fn evidence_fades_over_a_pause() {
+        let (mut model, start) = (ReceiverModel::default(), GpsTime::EPOCH);
+        let before = model.doppler_scale();
+        for second in 0..300 {
+            let z = 4.0 / model.doppler_scale();
+            learn(&mut model, start + f64::from(second), &[z, -z, z, -z, z, -z, z, -z]);
+        }
+        assert!(1.5 * before < model.doppler_scale(), "{}", model.doppler_scale());
+        learn(&mut model, start + (299.0 + 20.0 * FADING_S), &[]);
+        assert!((model.doppler_scale() / before - 1.0).abs() < 1e-3, "{}", model.doppler_scale());
     }
 }
