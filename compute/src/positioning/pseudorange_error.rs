@@ -164,6 +164,11 @@ impl Likelihood {
         direct + late + FAULT_DENSITY
     }
 
+    /// An upper bound of p (1/m): N has its peak at zero, and E is below 1/λ.
+    pub(super) fn density_bound(&self) -> f64 {
+        self.direct + self.late + FAULT_DENSITY
+    }
+
     /// (1 − ε)·(1 − π)·N and (1 − ε)·π·E (1/m), and h; at z = s/σ.
     fn joint_densities(&self, z: f64) -> (f64, f64, f64) {
         let (normal, late, hazard) = parts(z, self.ratio);

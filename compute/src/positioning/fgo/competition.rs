@@ -16,7 +16,7 @@ use crate::positioning::factors::{
 };
 use crate::positioning::ranging::Ranging;
 use crate::positioning::rivals::{
-    Knowledge, Offset, Pooled, Rivalry, SPACING_S, Scope, Verdict, rivalry,
+    Knowledge, Movable, Offset, Pooled, Rivalry, SPACING_S, Verdict, rivalry,
 };
 use crate::positioning::setup::GraphSettings;
 use crate::positioning::starts::{START_BIAS_M, START_CLOCK_M, START_M_S, are_refuting};
@@ -80,13 +80,13 @@ impl Chain {
         pool.iter_mut().for_each(|pooled| pooled.independent = 1.0);
         let bias_scale_m = self.watch.bias_scale_m(now);
         let knowledge = Knowledge { bias_scale_m, settled: 0.0 };
-        let rivalry =
-            rivalry(&pool, knowledge, Scope::Distinct, f64::NEG_INFINITY, now.as_ns() as u64);
-        let (Rivalry::Rival { offset, .. }, Some(state)) =
-            (rivalry, self.estimate.states.last_mut())
+        let rivalry = rivalry(&pool, knowledge, f64::NEG_INFINITY, now.as_ns() as u64);
+        let Rivalry::Rivals(rivals) = rivalry else { return false };
+        let (Some(rival), Some(state)) = (rivals.likeliest(), self.estimate.states.last_mut())
         else {
             return false;
         };
+        let offset = rival.offset;
         let by_m = offset.position_m();
         (0..3).for_each(|axis| state[axis] += by_m[axis]);
         // The biases are those of all epochs, so they stay: the clock moves by one of its offsets.
@@ -108,7 +108,7 @@ impl Chain {
             return false;
         }
         let window = self.pooled(self.watch.unpooled_s(now), scratch);
-        let verdict = self.watch.judge(now, &window, self.unproven_s(now), Scope::Distinct);
+        let verdict = self.watch.judge(now, &window, self.unproven_s(now), Movable::Anywhere);
         match &verdict {
             Verdict::Proven => self.is_proven = true,
             Verdict::Open => {}

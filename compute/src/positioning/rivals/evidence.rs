@@ -36,12 +36,12 @@ pub(crate) struct Pooled {
     pub(crate) satellite: SatelliteId,
     /// g = ∂ρ/∂p, local east, north, up.
     pub(crate) slope: Vector3<f64>,
-    /// s: median of measured − modelled (m).
+    /// s: upper median of measured − modelled (m).
     pub(crate) excess_m: f64,
     pub(crate) error: PseudorangeError,
     /// Its error model before anything was learnt about the receiver.
     pub(crate) before_learning: PseudorangeError,
-    /// κ: independent fraction of the information, the same for all residuals of a pool.
+    /// κ: independent fraction of the information.
     pub(crate) independent: f64,
 }
 
@@ -117,7 +117,7 @@ struct Terms {
     of: Range<usize>,
     /// κ.
     independent: f64,
-    /// Σ κ·J if all residuals are zero.
+    /// Lower bound of Σ κ·J.
     bound: f64,
 }
 
@@ -143,7 +143,7 @@ impl<'a> Evidence<'a> {
         for equal in pool.chunk_by(|a, b| a.independent == b.independent) {
             for part in equal.chunks(OF_ONE_LOGARITHM) {
                 let (of, independent) = (start..start + part.len(), part[0].independent);
-                let densities = likelihoods[of.clone()].iter().map(|error| error.density(0.0));
+                let densities = likelihoods[of.clone()].iter().map(Likelihood::density_bound);
                 let bound = -independent * densities.product::<f64>().ln();
                 start = of.end;
                 terms.push(Terms { of, independent, bound });
@@ -213,7 +213,7 @@ impl<'a> Evidence<'a> {
         self.descend(&mut x, Free::PositionAndClocks, accepted).then(|| self.offset(x))
     }
 
-    /// A lower bound of all costs: the cost of a position that leaves no residual.
+    /// A lower bound of all costs.
     pub(super) fn cost_bound(&self) -> f64 {
         self.terms.iter().map(|terms| terms.bound).sum::<f64>() + self.cost_of_noise()
     }

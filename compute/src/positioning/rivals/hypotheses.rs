@@ -57,40 +57,45 @@ fn are_apart(by_m: &Vector3<f64>) -> bool {
     APART_HORIZONTAL_M < by_m.xy().norm() || APART_VERTICAL_M < by_m.z.abs()
 }
 
-/// The hypotheses that a search considers besides the trajectory.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Scope {
-    /// All that are distinct from the trajectory: by their position, or by the residuals.
-    Distinct,
-    /// Those at another position, [`are_apart`] from the trajectory.
-    Apart,
-}
-
 /// The result of a search.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Rivalry {
     /// The satellites are too few for a redundant position.
     Undetermined,
-    /// There is no other candidate, or none can reach the required odds.
-    Unrivalled,
-    /// The likeliest hypothesis within the scope.
-    Rival {
-        /// Its offset from the estimated trajectory.
-        offset: Offset,
-        /// Logarithm of its odds against the trajectory.
-        log_odds: f64,
-    },
+    /// The likeliest hypotheses besides the trajectory.
+    Rivals(Rivals),
 }
 
-/// Searches for the likeliest hypothesis within `scope`, if any can have log odds of `wanted`.
-/// `seed` determines the draws.
-pub(crate) fn rivalry(
-    pool: &[Pooled],
-    knowledge: Knowledge,
-    scope: Scope,
-    wanted: f64,
-    seed: u64,
-) -> Rivalry {
+/// The likeliest hypotheses besides the trajectory. One is missing if there is no candidate, or
+/// none that can reach the required odds.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Rivals {
+    /// That at another position, [`are_apart`] from the trajectory.
+    pub(crate) far: Option<Rival>,
+    /// That near the trajectory, distinct from it by the residuals.
+    pub(crate) near: Option<Rival>,
+}
+
+impl Rivals {
+    /// The likelier one.
+    pub(crate) fn likeliest(&self) -> Option<Rival> {
+        let both = [self.far, self.near].into_iter().flatten();
+        both.max_by(|a, b| a.log_odds.total_cmp(&b.log_odds))
+    }
+}
+
+/// A hypothesis beside the trajectory.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rival {
+    /// Its offset from the estimated trajectory.
+    pub(crate) offset: Offset,
+    /// Logarithm of its odds against the trajectory.
+    pub(crate) log_odds: f64,
+}
+
+/// Searches for the likeliest hypotheses besides the trajectory, if any can have log odds of
+/// `wanted`. `seed` determines the draws.
+pub(crate) fn rivalry(pool: &[Pooled], knowledge: Knowledge, wanted: f64, seed: u64) -> Rivalry {
     let learnt = Evidence::new(pool, Noise::Learnt, knowledge);
     if satellites(pool) < 3 + clocks(&learnt) + 1 {
         return Rivalry::Undetermined;
@@ -103,34 +108,27 @@ pub(crate) fn rivalry(
     let costs = models.iter().map(|(trajectory, _)| trajectory.cost());
     let cost = costs.fold(f64::INFINITY, f64::min);
     models.retain(|(_, evidence)| wanted <= cost - evidence.cost_bound());
-    let search = |(trajectory, evidence): &_| best_elsewhere(evidence, trajectory, scope, seed);
-    match models.iter().filter_map(search).min_by(by_cost) {
-        Some(offset) => Rivalry::Rival { offset, log_odds: cost - offset.cost() },
-        None => Rivalry::Unrivalled,
-    }
+    let all = models.iter().flat_map(|(start, evidence)| hypotheses(evidence, start, seed));
+    let (far, near): (Vec<_>, Vec<_>) = all.partition(|offset| are_apart(&offset.position_m()));
+    let likeliest = |hypotheses: Vec<Offset>| {
+        let offset = hypotheses.into_iter().min_by(by_cost)?;
+        Some(Rival { offset, log_odds: cost - offset.cost() })
+    };
+    Rivalry::Rivals(Rivals { far: likeliest(far), near: likeliest(near) })
 }
 
-/// The likeliest hypothesis within `scope`; `trajectory` has its best clocks.
-fn best_elsewhere(
-    evidence: &Evidence<'_>,
-    trajectory: &Offset,
-    scope: Scope,
-    seed: u64,
-) -> Option<Offset> {
+/// Hypotheses that are distinct from `trajectory`, which has its best clocks.
+fn hypotheses(evidence: &Evidence<'_>, trajectory: &Offset, seed: u64) -> Vec<Offset> {
     let mut search = Search::new(evidence, seed);
     let from_subsets = search.candidates().into_iter();
     // A candidate that comes near the trajectory would converge to one of those in `near`.
     let far = from_subsets.filter_map(|offset| evidence.refine_while(offset, are_apart));
     let far = far.filter(|offset| are_apart(&offset.position_m()));
-    if scope == Scope::Apart {
-        return far.min_by(by_cost);
-    }
     // A known clock that has stepped makes a minimum of its own.
     let mut tercile_m = |system| search.late_clock_m(system, &Unknowns::zeros());
     let stepped = evidence.shares_clock().then(|| evidence.with_clocks(&mut tercile_m));
     let near = stepped.iter().chain([trajectory]).map(|start| evidence.refine(start));
-    let near = near.filter(|offset| evidence.are_distinct(offset, trajectory));
-    far.chain(near).min_by(by_cost)
+    far.chain(near.filter(|offset| evidence.are_distinct(offset, trajectory))).collect()
 }
 
 fn by_cost(a: &Offset, b: &Offset) -> Ordering {
@@ -331,12 +329,18 @@ mod tests {
         (0..12).map(pooled).collect()
     }
 
-    /// The rival, which must exist, and its log odds.
-    fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
-        match rivalry(pool, knowledge, Scope::Distinct, f64::NEG_INFINITY, 7) {
-            Rivalry::Rival { offset, log_odds } => (offset, log_odds),
-            other => panic!("{other:?}"),
+    /// The rivals of a pool that determines them.
+    fn rivals(pool: &[Pooled], knowledge: Knowledge) -> Rivals {
+        match rivalry(pool, knowledge, f64::NEG_INFINITY, 7) {
+            Rivalry::Rivals(rivals) => rivals,
+            Rivalry::Undetermined => panic!("undetermined"),
         }
+    }
+
+    /// The likeliest rival, which must exist, and its log odds.
+    fn found(pool: &[Pooled], knowledge: Knowledge) -> (Offset, f64) {
+        let Rival { offset, log_odds } = rivals(pool, knowledge).likeliest().unwrap();
+        (offset, log_odds)
     }
 
     #[test]
@@ -352,14 +356,8 @@ mod tests {
 
     #[test]
     fn a_trajectory_that_is_right_has_none() {
-        let rivalry =
-            rivalry(&pool(Vector3::zeros(), &[1, 6]), KNOWN, Scope::Distinct, f64::NEG_INFINITY, 7);
-        let is_right = match rivalry {
-            Rivalry::Unrivalled => true,
-            Rivalry::Rival { log_odds, .. } => log_odds < -10.0,
-            Rivalry::Undetermined => false,
-        };
-        assert!(is_right, "{rivalry:?}");
+        let likeliest = rivals(&pool(Vector3::zeros(), &[1, 6]), KNOWN).likeliest();
+        assert!(likeliest.is_none_or(|rival| rival.log_odds < -10.0), "{likeliest:?}");
     }
 
     /// The offset of 60 m costs T(60 m) = 2·ln(1 + 3600/300) = 5.13; that of the height is zero.
@@ -425,15 +423,28 @@ mod tests {
         };
         let (offset, log_odds) = found(&with_sigma(0.5), KNOWN);
         assert!(10.0 < log_odds && (offset.position_m() + off).norm() < 0.5, "{offset:?}");
-        // A search for other positions alone does not return it.
-        match rivalry(&with_sigma(0.5), KNOWN, Scope::Apart, f64::NEG_INFINITY, 7) {
-            Rivalry::Rival { offset, .. } => assert!(are_apart(&offset.position_m()), "{offset:?}"),
-            other => assert!(matches!(other, Rivalry::Unrivalled), "{other:?}"),
+        let likeliest = rivals(&with_sigma(4.0), KNOWN).likeliest();
+        assert!(likeliest.is_none_or(|rival| rival.log_odds < 0.0), "{likeliest:?}");
+    }
+
+    /// Two thirds of the satellites agree on a position 4 m off, one third on one 60 m off. The
+    /// near one is likelier, and does not hide the other.
+    #[test]
+    fn a_near_rival_hides_no_far_one() {
+        let precise = PseudorangeError { sigma_m: 0.5, ..KNOWN_NOISE };
+        let (near_m, far_m) = (Vector3::new(4.0, 0.0, 0.0), Vector3::new(-60.0, 0.0, 0.0));
+        let mut pool = pool(near_m, &[]);
+        for (index, pooled) in pool.iter_mut().enumerate() {
+            (pooled.error, pooled.before_learning) = (precise, precise);
+            if index % 3 == 0 {
+                pooled.excess_m -= pooled.slope.dot(&(far_m - near_m));
+            }
         }
-        match rivalry(&with_sigma(4.0), KNOWN, Scope::Distinct, f64::NEG_INFINITY, 7) {
-            Rivalry::Rival { log_odds, .. } => assert!(log_odds < 0.0, "{log_odds}"),
-            other => assert!(matches!(other, Rivalry::Unrivalled), "{other:?}"),
-        }
+        let Rivals { far, near } = rivals(&pool, KNOWN);
+        let (far, near) = (far.unwrap(), near.unwrap());
+        assert!(far.log_odds < near.log_odds, "{far:?} {near:?}");
+        assert!((near.offset.position_m() + near_m).norm() < 1.0, "{near:?}");
+        assert!(are_apart(&far.offset.position_m()), "{far:?}");
     }
 
     fn shift_galileo(pool: &mut [Pooled], by_m: f64) {
@@ -448,13 +459,8 @@ mod tests {
 
     #[test]
     fn too_few_satellites_decide_nothing() {
-        let rivalry = rivalry(
-            &pool(Vector3::zeros(), &[])[..4],
-            KNOWN,
-            Scope::Distinct,
-            f64::NEG_INFINITY,
-            7,
-        );
+        let pool = pool(Vector3::zeros(), &[]);
+        let rivalry = rivalry(&pool[..4], KNOWN, f64::NEG_INFINITY, 7);
         assert!(matches!(rivalry, Rivalry::Undetermined));
     }
 }

@@ -8,5 +8,5 @@ mod hypotheses;
 mod watch;
 
 pub(crate) use evidence::{Knowledge, Offset, Pooled};
-pub(crate) use hypotheses::{Rivalry, Scope, rivalry};
-pub(crate) use watch::{POOL_S, SPACING_S, Verdict, Watch};
+pub(crate) use hypotheses::{Rivalry, rivalry};
+pub(crate) use watch::{Movable, POOL_S, SPACING_S, Verdict, Watch};

@@ -14,7 +14,7 @@ use crate::gnss::{Constellation, GpsTime};
 use crate::snapshot::{snapshot_fields, state_fields};
 
 use super::evidence::{Knowledge, Offset, Pooled};
-use super::hypotheses::{self, Rivalry, Scope};
+use super::hypotheses::{self, Rivalry};
 
 /// Interval between two searches (s).
 const SEARCH_S: f64 = 2.0;
@@ -54,6 +54,15 @@ pub(crate) enum Verdict {
     Open,
     /// The hypothesis at this offset, of position or clocks, is clearly likelier.
     Move(Offset),
+}
+
+/// The rivals to which a position can be moved. Each of them keeps it from being proven.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Movable {
+    /// All.
+    Anywhere,
+    /// Those at another position only.
+    FarOnly,
 }
 
 /// The residuals of an epoch that has left the window.
@@ -141,6 +150,7 @@ impl Watch {
     /// Forgets all residuals.
     fn forget(&mut self) {
         self.departed.clear();
+        self.departing_share = 0.0;
         self.earlier.iter_mut().for_each(Vec::clear);
     }
 
@@ -167,7 +177,7 @@ impl Watch {
         now: GpsTime,
         window: &[Pooled],
         unproven_s: Option<f64>,
-        scope: Scope,
+        movable: Movable,
     ) -> Verdict {
         let since_s = self.searched.map_or(0.0, |searched| now - searched);
         self.searched = Some(now);
@@ -179,18 +189,27 @@ impl Watch {
             MOVE_LOG_ODDS_START + (MOVE_LOG_ODDS_SETTLED - MOVE_LOG_ODDS_START) * settled;
         let needs_rival = settled < 1.0 || unproven_s.is_some();
         let wanted = if needs_rival { -PROVEN_LOG_ODDS } else { threshold };
-        match hypotheses::rivalry(&pool, knowledge, scope, wanted, now.as_ns() as u64) {
-            Rivalry::Rival { offset, log_odds } if threshold < log_odds => Verdict::Move(offset),
-            Rivalry::Rival { log_odds, .. } if -PROVEN_LOG_ODDS <= log_odds => Verdict::Open,
-            Rivalry::Undetermined => Verdict::Open,
-            Rivalry::Rival { .. } | Rivalry::Unrivalled => {
-                if FILLING_S <= self.age_s(now) {
-                    self.settled = (settled + since_s / SETTLING_S).min(1.0);
-                }
-                let is_early = unproven_s.is_some_and(|age_s| age_s < POOL_S);
-                if is_early { Verdict::Open } else { Verdict::Proven }
-            }
+        let Rivalry::Rivals(rivals) =
+            hypotheses::rivalry(&pool, knowledge, wanted, now.as_ns() as u64)
+        else {
+            return Verdict::Open;
+        };
+        let likeliest = rivals.likeliest();
+        let candidate = match movable {
+            Movable::Anywhere => likeliest,
+            Movable::FarOnly => rivals.far,
+        };
+        if let Some(candidate) = candidate.filter(|candidate| threshold < candidate.log_odds) {
+            return Verdict::Move(candidate.offset);
         }
+        if likeliest.is_some_and(|rival| -PROVEN_LOG_ODDS <= rival.log_odds) {
+            return Verdict::Open;
+        }
+        if FILLING_S <= self.age_s(now) {
+            self.settled = (settled + since_s / SETTLING_S).min(1.0);
+        }
+        let is_early = unproven_s.is_some_and(|age_s| age_s < POOL_S);
+        if is_early { Verdict::Open } else { Verdict::Proven }
     }
 
     /// The residuals of the window and of the two pools before it. A window of a pool's length
@@ -262,7 +281,7 @@ mod tests {
                 let interval_s = (second != 0).then_some(2.0);
                 watch.record_epoch(now, interval_s);
                 assert!(watch.is_due(now));
-                watch.judge(now, &pool, None, Scope::Distinct);
+                watch.judge(now, &pool, None, Movable::Anywhere);
             }
             watch.settled
         };

@@ -250,6 +250,8 @@ impl<S: RelativeSolver> Relative<S> {
     ) -> State {
         self.solver.answer_all(inputs.setup, &mut self.past, &mut scratch.solver, revisions);
         self.solver.begin(start, &guess);
+        // Residuals of the position before say nothing of this one.
+        self.watch = PseudorangeWatch::default();
         guess
     }
 

@@ -77,6 +77,13 @@ pub(crate) struct Group {
     pub(crate) is_carrier: bool,
 }
 
+impl Group {
+    /// Its rows.
+    pub(crate) fn factors<'a>(&self, epoch: &'a RtkEpoch) -> &'a [DifferenceFactor] {
+        &epoch.rows[self.begin..self.end]
+    }
+}
+
 /// Prior of an ambiguity that begins. The phases determine the ambiguity far better.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct AmbiguityStart {
@@ -208,7 +215,7 @@ impl RtkEpoch {
     /// The rows of a group at offset zero, into the scratch, after [`Self::see`].
     pub(crate) fn linearize_group(&self, group: &Group, border: &[f64], scratch: &mut RowScratch) {
         let (ranges, rows) = (&scratch.ranges, &mut scratch.rows);
-        let factors = &self.rows[group.begin..group.end];
+        let factors = group.factors(self);
         rows.clear();
         rows.extend(factors.iter().map(|factor| factor.linearize(&ranges[factor.sight], border)));
     }
