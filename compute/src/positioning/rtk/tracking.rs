@@ -102,6 +102,7 @@ impl Tracking {
         if !options.rtk.resolve {
             return Resolution::unresolved(self.arcs.present(epoch.time).count());
         }
+        self.hold.end_with_arcs(&mut self.arcs);
         self.hold.probability = self.hold.probability.min(self.pause.kept);
         let noise = self.receivers.known_noise(&residuals);
         let question = IntegerQuestion { time: epoch.time, float, noise, options: &options.rtk };

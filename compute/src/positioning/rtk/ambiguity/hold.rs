@@ -90,6 +90,15 @@ impl HoldState {
         self.epochs_in_a_row = 0;
     }
 
+    /// Begins a new period if the arcs with integers have ended, so that no difference of two is
+    /// left: the integers found from then on are other ones.
+    pub(crate) fn end_with_arcs(&mut self, arcs: &mut Arcs) {
+        let held = arcs.list().iter().filter(|arc| arc.held.is_some()).count();
+        if 0.0 < self.probability && held < 2 {
+            self.release(arcs);
+        }
+    }
+
     /// Drops all integers as wrong: epochs of this period are not conditioned on them in
     /// retrospect.
     pub(crate) fn refute(&mut self, arcs: &mut Arcs) {

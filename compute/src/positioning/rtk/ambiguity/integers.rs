@@ -11,7 +11,7 @@ use nalgebra::DMatrix;
 use crate::config::RtkOptions;
 use crate::gnss::{GpsTime, Reason};
 use crate::lambda::{KnownScale, Options, Outcome, Partial, Resolver};
-use crate::positioning::rtk::observed::{Arcs, CarrierArc};
+use crate::positioning::rtk::observed::{Arcs, CarrierArc, HeldInteger};
 
 use super::acceptance::{lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
@@ -76,8 +76,8 @@ struct Judgement<'a> {
     options: &'a Options,
     /// Epochs in a row that prove an integer.
     hold_epochs: u32,
-    /// Whether enough epochs in a row have found confirmed integers, so that these are held.
-    are_held: bool,
+    /// Whether the integers found replace the held ones, with which the float solution disagrees.
+    replaces_held: bool,
 }
 
 impl Judgement<'_> {
@@ -89,6 +89,19 @@ impl Judgement<'_> {
         }
     }
 }
+
+/// What the proven integers are worth at an epoch.
+enum OfHeld {
+    /// The float solution agrees with them.
+    Fixed(Resolution),
+    /// Too few of their arcs have a phase.
+    TooFew,
+    /// The float solution is too far from them.
+    Disagreeing,
+}
+
+/// An arc on trial: its index, its integer and the number of epochs that found it.
+type Trial = (usize, Option<HeldInteger>, u32);
 
 /// Searches for integers; its memory is used again.
 #[derive(Debug)]
@@ -134,25 +147,31 @@ impl IntegerSearch {
         }
         let joint = self.differences.joint(float);
         let lambda = lambda_options(options, noise);
-        let are_held = is_confirmed && options.hold_epochs <= hold.epochs_in_a_row;
         let hold_epochs = options.hold_epochs;
-        let judgement = Judgement { options: &lambda, hold_epochs, are_held };
-        let held = Options { probability_min: options.hold_probability_min, ..lambda };
-        let of_held = Judgement { options: &held, ..judgement };
-        if are_held && let Some(resolution) = self.resolve_held(arcs, hold, &joint, &of_held) {
+        let all = Judgement { options: &lambda, hold_epochs, replaces_held: false };
+        let (period, is_held) = (hold.period, hold_epochs <= hold.epochs_in_a_row);
+        if !(is_confirmed && is_held) {
+            let resolution = self.resolve_all(arcs, hold, &joint, &all);
+            if resolution.outcome.is_err() && hold.period == period {
+                hold.missed();
+            }
             return resolution;
         }
-        let period = hold.period;
-        let resolution = self.resolve_all(arcs, hold, &joint, &judgement);
-        let is_same_period = hold.period == period;
-        if resolution.outcome.is_err() && is_same_period {
-            // Without other integers there is no proof that the held ones are wrong.
-            match are_held {
-                true => hold.release(arcs),
-                false => hold.missed(),
+        let held = Options { probability_min: options.hold_probability_min, ..lambda };
+        match self.resolve_held(arcs, hold, &joint, &Judgement { options: &held, ..all }) {
+            OfHeld::Fixed(resolution) => resolution,
+            // The others may return.
+            OfHeld::TooFew => self.resolve_all(arcs, hold, &joint, &all),
+            OfHeld::Disagreeing => {
+                let instead = Judgement { replaces_held: true, ..all };
+                let resolution = self.resolve_all(arcs, hold, &joint, &instead);
+                if resolution.outcome.is_err() && hold.period == period {
+                    // Without other integers there is no proof that the held ones are wrong.
+                    hold.release(arcs);
+                }
+                resolution
             }
         }
-        resolution
     }
 
     /// The known integers of the pairs `wanted`.
@@ -169,15 +188,14 @@ impl IntegerSearch {
     /// Conditions on the proven integers, then searches for those of the others.
     ///
     /// If too few are proven, those on trial are held as well, and `probability_min` is their
-    /// probability: each was found with at least that. `None` if too few are held, or if these no
-    /// longer agree with the float solution.
+    /// probability: each was found with at least that.
     fn resolve_held(
         &mut self,
         arcs: &mut Arcs,
         hold: &mut HoldState,
         joint: &Joint,
         judgement: &Judgement<'_>,
-    ) -> Option<Resolution> {
+    ) -> OfHeld {
         let Judgement { options, .. } = *judgement;
         let is_enough = options.fixed_min <= self.differences.which(|pair| pair.is_proven).len();
         let is_held =
@@ -185,27 +203,29 @@ impl IntegerSearch {
         let held = self.differences.which(is_held);
         let others = self.differences.which(|pair| !is_held(pair));
         if held.len() < options.fixed_min {
-            return None;
+            return OfHeld::TooFew;
         }
-        let (rest, squared_norm) = condition(joint, &held, &self.known_values(&held), &others)?;
+        let conditioned = condition(joint, &held, &self.known_values(&held), &others);
+        let Some((rest, squared_norm)) = conditioned else { return OfHeld::Disagreeing };
         // Errors that are correlated in time put float ambiguities further from their integers than
         // their covariance allows. This is no evidence against the integers as long as no others
         // fit better.
-        let odds = match DISAGREEMENT * (held.len() as f64) < squared_norm {
-            true => self.held.load(&self.differences.pairs, &held, joint, options)?.odds,
-            false => 1.0,
+        let against = match DISAGREEMENT * (held.len() as f64) < squared_norm {
+            true => self.held.load(&self.differences.pairs, &held, joint, options).map(|l| l.odds),
+            false => Some(1.0),
         };
+        let Some(odds) = against else { return OfHeld::Disagreeing };
         let against_others = scale_odds(odds, hold.probability);
         let probability = given_unfixed_ambiguities(against_others, &rest);
         if probability < options.probability_min {
-            return None;
+            return OfHeld::Disagreeing;
         }
         let least = if is_enough { 1.0 } else { options.probability_min };
         let by_proven = is_enough.then(|| KnownPosition::of(&rest));
         let trial = self.try_others(arcs, hold, &rest, &others, judgement);
         let (rest, added, likely) = trial.unwrap_or((rest, 0, 1.0));
         let fixed = fixed_position(&rest, held.len() + added, probability * likely * least);
-        Some(Resolution {
+        OfHeld::Fixed(Resolution {
             ambiguities: self.differences.pairs.len(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
@@ -224,12 +244,7 @@ impl IntegerSearch {
         others: &[usize],
         judgement: &Judgement<'_>,
     ) -> Option<(Joint, usize, f64)> {
-        let before: Vec<_> = others
-            .iter()
-            .flat_map(|&i| [self.differences.pairs[i].arc, self.differences.pairs[i].reference])
-            .filter(|&arc| arcs.list()[arc].held.is_some() && !arcs.list()[arc].is_proven)
-            .map(|arc| (arc, arcs.list()[arc].held, arcs.list()[arc].found))
-            .collect();
+        let before = self.on_trial(arcs, others.iter().copied());
         let lambda =
             Options { fixed_min: 1, attempts_max: OTHERS_ATTEMPTS_MAX, ..*judgement.options };
         let indices: Vec<usize> = (0..others.len()).collect();
@@ -239,20 +254,31 @@ impl IntegerSearch {
         };
         let accepted = found.filter(|outcome| outcome.rejection.is_none()).and_then(|outcome| {
             let left = self.condition_on_found(joint, &indices)?;
-            let likely = outcome.probability.unwrap_or(0.0);
+            // The ambiguities that stay float have counted against the held integers.
+            let likely = bonferroni(outcome.attempts, outcome.probability.unwrap_or(0.0));
+            if likely < lambda.probability_min {
+                return None;
+            }
             let added = self.hold_found(arcs, hold, others, judgement.proven_after(likely));
             Some((left, added, likely))
         });
-        for (arc, held, found) in before {
-            if (arcs.list()[arc].held, arcs.list()[arc].found) == (held, found) {
-                arcs.forget(arc);
-            }
-        }
+        forget_unfound(arcs, &before);
         accepted
     }
 
+    /// The arcs of the pairs `wanted` whose integers are on trial.
+    fn on_trial(&self, arcs: &Arcs, wanted: impl Iterator<Item = usize>) -> Vec<Trial> {
+        let pairs = wanted.map(|i| &self.differences.pairs[i]);
+        let both = pairs.flat_map(|pair| [pair.arc, pair.reference]);
+        let trial = |arc: usize| {
+            let CarrierArc { held, found, is_proven, .. } = arcs.list()[arc];
+            (held.is_some() && !is_proven).then_some((arc, held, found))
+        };
+        both.filter_map(trial).collect()
+    }
+
     /// Searches for the integers of all ambiguities; they must be found in consecutive epochs
-    /// before they are held.
+    /// before they are held. Arcs on trial whose integers are not found again lose them.
     ///
     /// A candidate set that contradicts the integers so far replaces them only if its probability
     /// is higher, and from the next epoch on.
@@ -263,7 +289,7 @@ impl IntegerSearch {
         joint: &Joint,
         judgement: &Judgement<'_>,
     ) -> Resolution {
-        let Judgement { options, are_held, .. } = *judgement;
+        let Judgement { options, replaces_held, .. } = *judgement;
         let (mut tried, mut resolution) = (0, self.refused(Reason::FixRejected));
         for wanted in self.differences.subsets(arcs.list(), options.fixed_min) {
             let found = self.search(arcs.list(), joint, &wanted, &wanted, options);
@@ -282,7 +308,7 @@ impl IntegerSearch {
             if probability < options.probability_min {
                 continue;
             }
-            let [_, contradicting] = self.compare_with_known(&wanted);
+            let [agreeing, contradicting] = self.compare_with_known(&wanted);
             if 0 < contradicting {
                 if probability <= hold.probability {
                     continue;
@@ -290,12 +316,15 @@ impl IntegerSearch {
                 hold.refute(arcs);
                 return resolution;
             }
-            if are_held {
-                // The float solution is too far from them: it has its own integers from here on.
+            if replaces_held {
                 hold.release(arcs);
+            } else if agreeing < options.fixed_min {
+                hold.missed();
             }
             let proven_after = judgement.proven_after(probability);
+            let before = self.on_trial(arcs, 0..self.differences.pairs.len());
             let held = self.hold_found(arcs, hold, &wanted, proven_after);
+            forget_unfound(arcs, &before);
             let Outcome { ratio, success_rate, .. } = outcome;
             let found = Found { probability, ratio, success_rate };
             hold.found(&found);
@@ -372,6 +401,15 @@ impl IntegerSearch {
         let found: Vec<_> = entries.filter_map(integer).collect();
         hold.hold(arcs, &found, proven_after);
         found.len()
+    }
+}
+
+/// Forgets the integers of the arcs on trial that have not been found again.
+fn forget_unfound(arcs: &mut Arcs, before: &[Trial]) {
+    for &(arc, held, found) in before {
+        if (arcs.list()[arc].held, arcs.list()[arc].found) == (held, found) {
+            arcs.forget(arc);
+        }
     }
 }
 
@@ -471,6 +509,63 @@ mod tests {
         let found = IntegerSearch::default().resolve(&mut arcs, &mut hold, &question, true);
         assert!(found.outcome.is_ok(), "{found:?}");
         assert_eq!(arcs.list().iter().filter(|arc| arc.held.is_some()).count(), N);
+    }
+
+    /// Epochs in a row have found the same integers: other ones begin to count at one.
+    #[test]
+    fn other_integers_count_from_one() {
+        let mut arcs = arcs(0);
+        let mut hold = HoldState { epochs_in_a_row: 5, ..HoldState::default() };
+        for epochs_in_a_row in [1, 2] {
+            assert!(resolved(&mut arcs, &mut hold, &float()).outcome.is_ok());
+            assert_eq!(hold.epochs_in_a_row, epochs_in_a_row);
+        }
+    }
+
+    /// The ambiguity of the lowest satellite is no longer known to a cycle, so the search leaves it
+    /// out. Its arc is on trial, and loses the integer.
+    #[test]
+    fn an_integer_that_is_not_found_again_is_forgotten() {
+        let (mut arcs, mut hold) = (arcs(0), HoldState::default());
+        for (index, cycles) in (0..N as i64).map(|k| k * k).enumerate() {
+            arcs.find(index, HeldInteger { datum: 1, cycles }, 9);
+        }
+        let mut float = float();
+        float.covariance[(3 + 1, 3 + 1)] += 25.0;
+        assert_eq!(resolved(&mut arcs, &mut hold, &float).outcome.unwrap().held, N - 2);
+        let found: Vec<_> = arcs.list().iter().map(|arc| arc.found).collect();
+        assert_eq!(found, [2, 0, 2, 2, 2, 2, 2]);
+    }
+
+    /// Of seven arcs two have no phase for a moment, and the last present one is new. The proven
+    /// integers are too few then, and the float solution finds none. All are kept.
+    #[test]
+    fn integers_that_are_too_few_for_an_epoch_are_kept() {
+        let mut list = arcs(0).list().to_vec();
+        list[5..].iter_mut().for_each(|arc| arc.last = GpsTime::EPOCH + -1.0);
+        let mut arcs = Arcs::of(list);
+        hold_all(&mut arcs, (0..N as i64).map(|k| k * k));
+        arcs.forget(4);
+        let (epochs_in_a_row, probability) = (1000, 1.0 - 1e-6);
+        let mut hold = HoldState { epochs_in_a_row, probability, ..HoldState::default() };
+        let mut float = float();
+        float.covariance *= 100.0;
+        assert!(resolved(&mut arcs, &mut hold, &float).outcome.is_err());
+        assert_eq!((hold.period, hold.epochs_in_a_row), (0, 1000));
+        assert_eq!(arcs.list().iter().filter(|arc| arc.held.is_some()).count(), N - 1);
+    }
+
+    /// One arc has no difference: a new period begins, in which nothing is confirmed. Two have one.
+    #[test]
+    fn a_period_ends_with_its_arcs() {
+        for (held, period) in [(2, 0), (1, 1)] {
+            let mut arcs = arcs(0);
+            hold_all(&mut arcs, 0..held);
+            let mut hold = HoldState { probability: 0.99, ..HoldState::default() };
+            hold.end_with_arcs(&mut arcs);
+            assert_eq!(hold.period, period);
+            assert_eq!(arcs.list().iter().any(|arc| arc.held.is_some()), period == 0);
+        }
     }
 
     /// Whichever satellite is the reference, the same integers, position and probability are found.
