@@ -120,6 +120,11 @@ impl Chain {
         self.epochs.last().map(|epoch| epoch.time)
     }
 
+    /// Time of its first epoch.
+    pub(super) fn started(&self) -> Option<GpsTime> {
+        (!self.epochs.is_empty()).then_some(self.started)
+    }
+
     /// Largest number of epochs that each have separate biases; zero if the biases are constant.
     pub(super) fn ring(&self) -> usize {
         self.ring

@@ -166,6 +166,11 @@ impl SlidingWindow {
         self.chain.epochs.is_empty()
     }
 
+    /// Time of the chain's first epoch.
+    pub(crate) fn started(&self) -> Option<GpsTime> {
+        self.chain.started()
+    }
+
     /// Empties the chain. What was learnt about the receiver stays.
     pub(crate) fn rest(&mut self) {
         self.chain.clear();

@@ -52,12 +52,14 @@ pub(crate) struct Companion {
     window: SlidingWindow,
     anchor: Option<Anchor>,
     clock: BaseClock,
-    /// Whether the chain began at a fixed position and its position has been certain since
+    /// When the chain began at a fixed position, if its position has been certain since
     /// ([`TIED_M`]).
-    is_tied: bool,
+    tied_since: Option<GpsTime>,
+    /// Carriers that may have slipped at the rover since the last epoch of the chain or the anchor.
+    lost: Vec<Tracked>,
 }
 
-state_fields!(Companion { window, anchor, clock, is_tied });
+state_fields!(Companion { window, anchor, clock, tied_since, lost });
 
 /// Scratch of the companion.
 #[derive(Debug, Default)]
@@ -65,11 +67,12 @@ pub(crate) struct CompanionScratch {
     window: WindowScratch,
     corrected: CorrectedRanges,
     numbers: Vec<f64>,
+    marked: MarkedEpoch,
 }
 
 /// An epoch of the rover in which all carriers that may have slipped have a loss of lock.
 #[derive(Debug)]
-pub(crate) struct MarkedEpoch(Epoch);
+struct MarkedEpoch(Epoch);
 
 impl Default for MarkedEpoch {
     fn default() -> Self {
@@ -79,14 +82,14 @@ impl Default for MarkedEpoch {
 
 impl MarkedEpoch {
     /// `epoch`, with a loss of lock at all carriers in `lost`.
-    pub(crate) fn of<'a>(&'a mut self, epoch: &'a Epoch, lost: &[Tracked]) -> &'a Epoch {
-        let lacks_redundancy = |o: &Observation| lost.contains(&(o.satellite, o.code));
-        if !epoch.observations.iter().any(|o| !o.loss_of_lock && lacks_redundancy(o)) {
+    fn of<'a>(&'a mut self, epoch: &'a Epoch, lost: &[Tracked]) -> &'a Epoch {
+        let may_have_slipped = |o: &Observation| lost.contains(&(o.satellite, o.code));
+        if !epoch.observations.iter().any(|o| !o.loss_of_lock && may_have_slipped(o)) {
             return epoch;
         }
         self.0.clone_from(epoch);
         for observation in &mut self.0.observations {
-            observation.loss_of_lock |= lacks_redundancy(observation);
+            observation.loss_of_lock |= may_have_slipped(observation);
         }
         &self.0
     }
@@ -95,8 +98,8 @@ impl MarkedEpoch {
 impl Companion {
     /// The companion before the first epoch.
     pub(crate) fn new(setup: &Setup) -> Self {
-        let window = SlidingWindow::new(setup, false);
-        Self { window, anchor: None, clock: BaseClock::default(), is_tied: false }
+        let (window, clock) = (SlidingWindow::new(setup, false), BaseClock::default());
+        Self { window, anchor: None, clock, tied_since: None, lost: Vec::new() }
     }
 
     /// Whether a state that was read from a snapshot fits the options.
@@ -107,6 +110,7 @@ impl Companion {
     /// Keeps an epoch with integers and its answer as the new anchor, and lets the chain rest.
     pub(crate) fn rest_at(&mut self, epoch: &Epoch, fixed: &Solution) {
         self.window.rest();
+        self.lost.clear();
         let Some(estimate) = &fixed.estimate else { return };
         let (position, covariance) = (estimate.position, estimate.covariance);
         match &mut self.anchor {
@@ -127,6 +131,15 @@ impl Companion {
         Some((&anchor.epoch, KnownPosition { sigma_m, ..known }))
     }
 
+    /// Notes carriers that may have slipped at the rover since its last epoch.
+    pub(crate) fn note_lost(&mut self, carriers: impl IntoIterator<Item = Tracked>) {
+        for carrier in carriers {
+            if !self.lost.contains(&carrier) {
+                self.lost.push(carrier);
+            }
+        }
+    }
+
     /// Forgets every position, because the base is another one or has moved.
     pub(crate) fn forget(&mut self) {
         self.window.rest();
@@ -145,7 +158,7 @@ impl Companion {
         difference_at: impl FnOnce(&EpochInputs<'_>, Ecef, &mut SingleDifferences) -> bool,
         scratch: &mut CompanionScratch,
     ) -> Solution {
-        let CompanionScratch { window, corrected, numbers } = scratch;
+        let CompanionScratch { window, corrected, numbers, marked } = scratch;
         self.clock.follow(differences, numbers);
         let anchor = self.anchor.take();
         let mut now = std::mem::take(corrected);
@@ -156,18 +169,23 @@ impl Companion {
                 self.clock.correct(differences, corrected);
                 let of_anchor = EpochInputs { corrected: Some(corrected), ..of_anchor };
                 self.window.begin_at(&anchor.known(), &of_anchor, window);
-                self.is_tied = !self.window.is_empty();
+                self.tied_since = self.window.started();
             }
         }
-        if self.is_tied {
+        // The chain may have begun again elsewhere.
+        self.tied_since = self.tied_since.filter(|since| self.window.started() == Some(*since));
+        if self.tied_since.is_some() {
             self.window.settle(inputs.epoch.time);
         }
         *corrected = now;
-        let inputs = EpochInputs { corrected: Some(corrected), ..*inputs };
+        let epoch = marked.of(inputs.epoch, &self.lost);
+        let inputs = EpochInputs { epoch, corrected: Some(corrected), ..*inputs };
         let solution = self.window.advance(&inputs, window, &mut Vec::new());
-        self.is_tied &= solution.estimate.as_ref().is_some_and(|estimate| {
+        self.lost.clear();
+        let is_certain = solution.estimate.as_ref().is_some_and(|estimate| {
             horizontal_m2(estimate.position, &estimate.covariance) < TIED_M * TIED_M
         });
+        self.tied_since = self.tied_since.filter(|_| is_certain);
         solution
     }
 }

@@ -17,7 +17,7 @@ use crate::positioning::starts::FRAME_LIMIT_M;
 use crate::snapshot::state_fields;
 
 use super::answer::{AnswerParts, better_known, solution};
-use super::companion::{Companion, CompanionScratch, MarkedEpoch};
+use super::companion::{Companion, CompanionScratch};
 use super::observed::{
     Arcs, BaseTracking, Intake, Judged, PseudorangeWatch, Received, RowScratch, State, UsableBase,
 };
@@ -58,7 +58,6 @@ pub(crate) struct RelativeScratch<S: RelativeSolver> {
     rows: RowScratch,
     alone: <S::Alone as Engine>::Scratch,
     companion: CompanionScratch,
-    marked: MarkedEpoch,
     solver: S::Scratch,
 }
 
@@ -69,7 +68,6 @@ impl<S: RelativeSolver> Default for RelativeScratch<S> {
             rows: RowScratch::default(),
             alone: Default::default(),
             companion: CompanionScratch::default(),
-            marked: MarkedEpoch::default(),
             solver: S::Scratch::default(),
         }
     }
@@ -175,9 +173,11 @@ impl<S: RelativeSolver> Relative<S> {
             self.solver.forget();
         }
         let (time, rtk) = (inputs.epoch.time, &inputs.options().rtk);
-        let Intake { single_point, slipped, lost, .. } = &mut scratch.intake;
+        let Intake { single_point, slipped, .. } = &mut scratch.intake;
         slipped.clear();
-        lost.clone_from(&received.losses.rover);
+        if let Some(companion) = &mut self.companion {
+            companion.note_lost(received.losses.rover.iter().copied());
+        }
         let tracking = self.solver.tracking();
         tracking.arcs.end_lost(&received.losses, time, rtk.arc_gap_s, slipped);
         tracking.pause = Pause::of(&received.losses, &tracking.pause, &tracking.arcs);
@@ -349,13 +349,12 @@ impl<S: RelativeSolver> Relative<S> {
         let (Some(setup), Some(aiding)) = (&inputs.setup.corrected, inputs.base) else {
             return solution;
         };
-        let RelativeScratch { intake, marked, companion: memory, .. } = scratch;
+        let RelativeScratch { intake, companion: memory, .. } = scratch;
         if self.solver.tracking().pause.may_hide_slips(inputs.options().rtk.probability_min) {
             let carrier = |o: &Observation| (o.satellite, o.code);
-            intake.lost.extend(inputs.epoch.observations.iter().map(carrier));
+            companion.note_lost(inputs.epoch.observations.iter().map(carrier));
         }
-        let epoch = marked.of(inputs.epoch, &intake.lost);
-        let inputs = EpochInputs { setup, epoch, ..*inputs };
+        let inputs = EpochInputs { setup, ..*inputs };
         let difference_at =
             |inputs: &EpochInputs<'_>, at: Ecef, differences: &mut SingleDifferences| {
                 base.difference(inputs, at, aiding.station, differences).is_ok()

@@ -16,7 +16,7 @@ use crate::positioning::starts::are_refuting;
 use crate::snapshot::state_fields;
 
 use super::base::BaseMemory;
-use super::losses::{LockWatch, Losses, Tracked};
+use super::losses::{LockWatch, Losses};
 
 /// A base that can be used.
 #[derive(Clone, Debug)]
@@ -59,8 +59,6 @@ pub(crate) struct Intake {
     pub(crate) differences: SingleDifferences,
     /// Satellites whose arcs ended at this epoch.
     pub(crate) slipped: Vec<SatelliteId>,
-    /// Carriers that may have slipped at the rover.
-    pub(crate) lost: Vec<Tracked>,
     residuals_m: Vec<f64>,
 }
 
