@@ -8,8 +8,8 @@ use crate::snapshot::state_fields;
 
 use super::ambiguity::{
     Confirmation, FOUND_EPOCHS, FixedEpoch, FloatSolution, HoldState, IntegerQuestion,
-    IntegerSearch, KnownPosition, NEARLY_CERTAIN, PhasePosition, Resolution,
-    position_from_fixed_phases, subtract_common_cycles, subtract_integers,
+    IntegerSearch, NEARLY_CERTAIN, PhasePosition, Resolution, position_from_fixed_phases,
+    subtract_common_cycles, subtract_integers,
 };
 use super::observed::{Arcs, Receivers, Residuals, RowScratch, RtkEpoch, State, carrier_residuals};
 use super::pause::{Pause, SolvedPhases};
@@ -117,11 +117,7 @@ impl Tracking {
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
         let noise = &self.receivers.carrier_noise;
         let factor = noise.variance_factor();
-        let known = fixed.by_proven.map(|KnownPosition { position, covariance }| {
-            let covariance = covariance * factor;
-            KnownPosition { position, covariance }
-        });
-        let (start, known) = (fixed.position, known.as_ref());
+        let (start, known) = (fixed.position, fixed.by_proven.as_ref());
         let fixed_epoch = FixedEpoch { epoch, border, arcs: &self.arcs };
         let by_phases = position_from_fixed_phases(&fixed_epoch, &start, known, scratch);
         let Some(by_phases) = by_phases else { return resolution.refused(Reason::FixRejected) };

@@ -17,8 +17,8 @@ pub(crate) use acceptance::refusal;
 pub(crate) use conditioning::{EarlierAmbiguity, condition_on_known_integers};
 pub(crate) use confirmation::Confirmation;
 pub(crate) use fixed_position::{
-    FixedEpoch, FixedPosition, KnownPosition, PhasePosition, position_from_fixed_phases,
-    subtract_common_cycles, subtract_integers,
+    FixedEpoch, FixedPosition, PhasePosition, position_from_fixed_phases, subtract_common_cycles,
+    subtract_integers,
 };
 pub(crate) use float::FloatSolution;
 pub(crate) use hold::{FOUND_EPOCHS, HoldState, NEARLY_CERTAIN};
