@@ -119,8 +119,6 @@ pub(super) struct SingleDifference {
     pub(super) frequency_hz: f64,
     pub(super) pseudorange: Option<Differenced>,
     pub(super) carrier: Option<Differenced>,
-    /// A cycle slip was possible at the rover since its last epoch.
-    pub(super) rover_lost_lock: bool,
     /// The phase of either receiver may be off by half a cycle.
     pub(super) half_cycle: bool,
 }
@@ -266,7 +264,6 @@ impl SingleDifferences {
                 pseudorange: pseudoranges
                     .map(|ranges| difference(ranges, variances.pseudorange_m2(&quality))),
                 carrier: carriers.map(|ranges| difference(ranges, variances.carrier_m2(&quality))),
-                rover_lost_lock: pair.rover.loss_of_lock,
                 half_cycle: pair.rover.half_cycle || pair.base.half_cycle,
             });
         }

@@ -1,8 +1,9 @@
 //! The C/N0 of each signal relative to the receiver's strongest signals, and to its own level.
 //!
 //! Receivers state C/N0 on scales that differ by several decibels, and antennas differ by as much.
-//! So variances depend on S, the C/N0 relative to that of the strongest satellites on the same
-//! signal.
+//! So variances depend on S, the C/N0 relative to that of the strongest satellites with the same
+//! code. Those of all constellations count together: the few satellites of one do not show what the
+//! receiver states for an unobstructed signal.
 //!
 //! An obstacle at the edge of the direct path weakens a signal and bends its phase. A reflection
 //! that is received instead of the direct signal does the same. C/N0 alone does not show this,
@@ -11,7 +12,7 @@
 //! Hartinger & Troyer 1999, *GPS signal diffraction modelling: the stochastic SIGMA-Δ model*, J.
 //! Geodesy 73, where the level is a template of C/N0 by elevation). The level here is the larger of
 //! two values. One is the greatest recent C/N0 of the signal, which fades. The other is the usual
-//! C/N0 of the strongest satellites on that signal minus 10 dB, the spread of antenna gain and path
+//! C/N0 of the strongest satellites with that code minus 10 dB, the spread of antenna gain and path
 //! loss between zenith and horizon.
 
 use crate::gnss::{Epoch, GpsTime, Observation, ObservationCode, SatelliteId};
@@ -46,7 +47,7 @@ impl Level {
     }
 }
 
-/// The C/N0 of the strongest satellites on one signal: a running quantile of 95 %.
+/// The C/N0 of the strongest satellites with one code: a running quantile of 95 %.
 #[derive(Clone, Debug)]
 struct Strongest {
     code: ObservationCode,
@@ -96,7 +97,7 @@ impl SignalLevels {
         }
     }
 
-    /// Takes in the C/N0 of all satellites on one signal, in ascending order. The quantile begins
+    /// Takes in the C/N0 of all satellites with one code, in ascending order. The quantile begins
     /// with the median, which holds whatever the first few satellites are.
     fn count(&mut self, of_code: &[(ObservationCode, f64)]) {
         let (code, median_db_hz) = of_code[of_code.len() / 2];

@@ -133,6 +133,8 @@ impl RelativeSolver for FilterState {
         }
         let FilterStateScratch { rows, search, epoch, .. } = scratch;
         let Self { gaussian, tracking, .. } = self;
+        let covariance = gaussian.state_covariance().fixed_view::<3, 3>(0, 0).into_owned();
+        tracking.learn_noise(epoch, &gaussian.state(), &covariance, rows);
         let solved = SolvedEpoch {
             epoch,
             border: gaussian.border(),
@@ -202,8 +204,6 @@ impl FilterState {
             }
             gaussian.clone_from(before);
         }
-        let covariance = gaussian.state_covariance().fixed_view::<3, 3>(0, 0).into_owned();
-        receivers.learn_noise(epoch, &gaussian.state(), &covariance, rows);
         arcs.release(|_| false);
         let interval_s = epoch.motion.as_ref().map_or(0.0, MotionFactor::interval_s);
         let is_failing = 2 * passed.0 < passed.1;

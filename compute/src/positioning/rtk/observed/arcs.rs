@@ -407,7 +407,6 @@ mod tests {
             frequency_hz: 1_575.42e6,
             pseudorange: None,
             carrier: Some(differenced),
-            rover_lost_lock: false,
             half_cycle,
         }
     }

@@ -98,7 +98,6 @@ mod tests {
             frequency_hz: 1_575.42e6,
             pseudorange: None,
             carrier: None,
-            rover_lost_lock: false,
             half_cycle: false,
         }
     }

@@ -38,8 +38,10 @@ pub(crate) fn fill(epoch: &mut RtkEpoch, mut new: NewRows<'_>) {
     }
     let correlation_s = options.rtk.pseudorange_correlation_s;
     new.receivers.last_pseudoranges.forget_before(epoch.time - correlation_s);
+    let mut offset_m = None;
     for group in differences.list.chunk_by(|a, b| a.group() == b.group()) {
-        let offset_m = new.add_pseudoranges(epoch, group);
+        // Where a group has no pseudorange, the offset of another is closer than none.
+        offset_m = new.add_pseudoranges(epoch, group).or(offset_m);
         new.add_carriers(epoch, group, offset_m);
     }
 }
