@@ -18,7 +18,7 @@ use super::setup::Setup;
 use super::spp::SinglePoints;
 
 /// Layout of the snapshots. Raise it when their content changes.
-const LAYOUT: u16 = 25;
+const LAYOUT: u16 = 26;
 
 /// Defines the state and the scratch of all modes from one table: the mode's number in snapshots,
 /// its name, its engine, and its field in the scratch.
