@@ -81,7 +81,7 @@ fn is_accompanied<S: RelativeSolver>(setup: &Setup) -> bool {
 }
 
 /// An epoch that was differenced against a base.
-struct Differenced<'a> {
+struct DifferencedEpoch<'a> {
     guess: State,
     base: UsableBase<'a>,
     reasons: Vec<Reason>,
@@ -161,7 +161,7 @@ impl<S: RelativeSolver> Relative<S> {
         received: &Received,
         scratch: &mut RelativeScratch<S>,
         revisions: &mut Vec<Solution>,
-    ) -> Result<Differenced<'a>, Reason> {
+    ) -> Result<DifferencedEpoch<'a>, Reason> {
         if let (true, Some(companion)) = (received.is_moved(), &mut self.companion) {
             companion.forget();
         }
@@ -204,7 +204,7 @@ impl<S: RelativeSolver> Relative<S> {
             reasons.push(Reason::EphemerisMissing { satellites });
         }
         reasons.extend(received.reasons());
-        Ok(Differenced { guess, base, reasons })
+        Ok(DifferencedEpoch { guess, base, reasons })
     }
 
     /// The approximate state of the rover. Restarts the solver if it cannot predict one, or if all
@@ -278,11 +278,11 @@ impl<S: RelativeSolver> Relative<S> {
     fn solve(
         &mut self,
         inputs: &EpochInputs<'_>,
-        epoch: Differenced<'_>,
+        epoch: DifferencedEpoch<'_>,
         scratch: &mut RelativeScratch<S>,
         revisions: &mut Vec<Solution>,
     ) -> Result<Solution, Reason> {
-        let Differenced { guess, base, mut reasons } = epoch;
+        let DifferencedEpoch { guess, base, mut reasons } = epoch;
         let Intake { differences, slipped, .. } = &mut scratch.intake;
         let (time, setup) = (inputs.epoch.time, inputs.setup);
         let new = NewEpoch { time, guess, differences, setup, slipped };

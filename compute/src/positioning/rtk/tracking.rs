@@ -111,7 +111,7 @@ impl Tracking {
         let mut resolution =
             search.resolve(&mut self.arcs, &mut self.hold, &question, is_confirmed);
         let probability = resolution.outcome.as_ref().map(|fixed| fixed.probability);
-        if probability.is_ok_and(|found| !self.is_confirmed(found, &question, search)) {
+        if probability.is_ok_and(|found| !self.confirm_or_refute(found, &question, search)) {
             return resolution.refused(Reason::FixRejected);
         }
         let Ok(fixed) = &mut resolution.outcome else { return resolution };
@@ -142,10 +142,10 @@ impl Tracking {
         resolution
     }
 
-    /// Whether the held integers are confirmed by the searches without each satellite. If
-    /// `probability` is not nearly certain, the epoch before must have found the integers, too.
-    /// Confirmed integers are dropped if such a search finds likelier ones.
-    fn is_confirmed(
+    /// Tests the held integers by the searches without each satellite. Returns whether they are
+    /// confirmed; if `probability` is not nearly certain, the epoch before must have found them,
+    /// too. Confirmed integers are dropped if such a search finds likelier ones.
+    fn confirm_or_refute(
         &mut self,
         probability: f64,
         question: &IntegerQuestion<'_>,

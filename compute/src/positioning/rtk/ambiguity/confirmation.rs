@@ -37,14 +37,14 @@ const REFUTED: f64 = 0.5;
 
 /// Outcome of a search without one satellite.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Separated {
+pub(crate) struct SearchWithout {
     /// Probability of the held integers.
     pub(crate) probability: f64,
     /// Density of the float ambiguities without the satellite, divided by the density of all.
     pub(crate) evidence: f64,
 }
 
-impl Separated {
+impl SearchWithout {
     /// Too few ambiguities are left for a search without the satellite: there is no evidence for
     /// the held integers, and none for another model.
     const IMPOSSIBLE: Self = Self { probability: 0.0, evidence: 1.0 };
@@ -55,7 +55,7 @@ impl Separated {
 struct Separation {
     satellite: SatelliteId,
     /// `None` before the first search.
-    outcome: Option<Separated>,
+    outcome: Option<SearchWithout>,
 }
 
 /// The searches without one satellite each for the held integers.
@@ -66,7 +66,7 @@ pub(crate) struct Confirmation {
     is_confirmed: bool,
 }
 
-snapshot_fields!(Separated { probability, evidence });
+snapshot_fields!(SearchWithout { probability, evidence });
 snapshot_fields!(Separation { satellite, outcome });
 state_fields!(Confirmation { separations, is_confirmed });
 
@@ -90,7 +90,7 @@ impl Confirmation {
     }
 
     /// P by the evidence and the probability that `of` returns for each search.
-    fn averaged(&self, of: impl Fn(Separated) -> (f64, f64)) -> f64 {
+    fn averaged(&self, of: impl Fn(SearchWithout) -> (f64, f64)) -> f64 {
         let searches = self.separations.iter().filter_map(|separation| separation.outcome).map(of);
         let (mut right, mut all, mut count) = (0.0, 0.0, 0.0);
         for (evidence, probability) in searches {
@@ -111,12 +111,13 @@ impl Confirmation {
         &mut self,
         satellites: &[SatelliteId],
         probability_min: f64,
-        mut test: impl FnMut(SatelliteId) -> Option<Separated>,
+        mut test: impl FnMut(SatelliteId) -> Option<SearchWithout>,
     ) {
         self.follow(satellites);
         let tests = if self.is_confirmed { 1 } else { self.separations.len() };
         for separation in self.separations.iter_mut().take(tests) {
-            separation.outcome = Some(test(separation.satellite).unwrap_or(Separated::IMPOSSIBLE));
+            separation.outcome =
+                Some(test(separation.satellite).unwrap_or(SearchWithout::IMPOSSIBLE));
         }
         if self.is_confirmed && !self.separations.is_empty() {
             self.separations.rotate_left(1);
@@ -146,8 +147,9 @@ mod tests {
     /// A threshold as of the options.
     const LEAST: f64 = 0.95;
 
-    const AGREES: Option<Separated> = Some(Separated { probability: 0.99, evidence: 0.1 });
-    const CONTRADICTS: Option<Separated> = Some(Separated { probability: 0.0, evidence: 1000.0 });
+    const AGREES: Option<SearchWithout> = Some(SearchWithout { probability: 0.99, evidence: 0.1 });
+    const CONTRADICTS: Option<SearchWithout> =
+        Some(SearchWithout { probability: 0.0, evidence: 1000.0 });
 
     fn satellites(count: u8) -> Vec<SatelliteId> {
         (1..=count).map(|k| SatelliteId::new(Constellation::Gps, k).unwrap()).collect()
@@ -161,7 +163,7 @@ mod tests {
         let mut confirmation = Confirmation::default();
         assert_eq!(confirmation.probability(), 1.0);
         let test = |satellite: SatelliteId| match satellite.number {
-            1 => Some(Separated { probability: 0.1, evidence: 2.0 }),
+            1 => Some(SearchWithout { probability: 0.1, evidence: 2.0 }),
             2 => None,
             _ => AGREES,
         };
@@ -181,7 +183,7 @@ mod tests {
             let mut confirmation = Confirmation::default();
             let test = |satellite: SatelliteId| match satellite.number <= again {
                 true => AGREES,
-                false => Some(Separated { probability: 0.0, evidence: 1e-6 }),
+                false => Some(SearchWithout { probability: 0.0, evidence: 1e-6 }),
             };
             confirmation.update(&satellites(8), LEAST, test);
             assert_eq!(confirmation.is_confirmed(), is_confirmed, "{again}");
@@ -196,7 +198,7 @@ mod tests {
         for (evidence, is_right) in [(0.01, true), (1.0, true), (5.0, false), (1000.0, false)] {
             let mut confirmation = Confirmation::default();
             let test = |satellite: SatelliteId| match satellite.number {
-                5 => Some(Separated { probability: 0.0, evidence }),
+                5 => Some(SearchWithout { probability: 0.0, evidence }),
                 _ => AGREES,
             };
             confirmation.update(&satellites(8), LEAST, test);
@@ -229,7 +231,7 @@ mod tests {
     /// Confirmed integers have odds of 9999 before a search: 0.01 becomes 0.99.
     #[test]
     fn earlier_epochs_speak_for_confirmed_integers() {
-        let doubts = |_| Some(Separated { probability: 0.01, evidence: 1000.0 });
+        let doubts = |_| Some(SearchWithout { probability: 0.01, evidence: 1000.0 });
         let mut confirmation = Confirmation::default();
         confirmation.update(&satellites(8), LEAST, |_| AGREES);
         confirmation.update(&satellites(8), LEAST, doubts);

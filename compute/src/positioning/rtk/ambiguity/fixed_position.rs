@@ -30,14 +30,14 @@ const FIXED_SIGMA_UP_M: f64 = 3.0 * FIXED_SIGMA_M;
 
 /// A position with its covariance.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct KnownPosition {
+pub(crate) struct LocalPosition {
     /// Local (m).
     pub(crate) position: Vector3<f64>,
     /// (m²).
     pub(crate) covariance: Matrix3<f64>,
 }
 
-impl KnownPosition {
+impl LocalPosition {
     /// The position of a joint estimate.
     pub(crate) fn of(joint: &Joint) -> Self {
         Self {
@@ -72,7 +72,7 @@ pub(crate) struct FixedPosition {
     pub(crate) probability: f64,
     /// Position from the proven integers alone, by this epoch and the earlier ones; `None` if too
     /// few are proven.
-    pub(crate) by_proven: Option<KnownPosition>,
+    pub(crate) by_proven: Option<LocalPosition>,
 }
 
 impl FixedPosition {
@@ -157,7 +157,7 @@ struct Phase {
 pub(crate) fn position_from_fixed_phases(
     fixed: &FixedEpoch<'_>,
     start: &Vector3<f64>,
-    known: Option<&KnownPosition>,
+    known: Option<&LocalPosition>,
     scratch: &mut RowScratch,
 ) -> Option<PhasePosition> {
     let groups = phases(fixed, start, known.is_some(), scratch);
@@ -329,7 +329,7 @@ fn slope(row: &SharingRow<3>) -> Vector3<f64> {
 /// full weight, because a satellite's error is in the known position as well.
 fn characteristic_slope_m(
     groups: &[Vec<Phase>],
-    known: Option<&KnownPosition>,
+    known: Option<&LocalPosition>,
     satellites: usize,
 ) -> f64 {
     let own = known.and_then(|known| known.covariance.try_inverse());
@@ -361,7 +361,7 @@ fn characteristic_slope_m(
 
 /// The position of a joint estimate after conditioning on `held` integers.
 pub(crate) fn fixed_position(joint: &Joint, held: usize, probability: f64) -> FixedPosition {
-    let KnownPosition { position, covariance } = KnownPosition::of(joint);
+    let LocalPosition { position, covariance } = LocalPosition::of(joint);
     FixedPosition { position, covariance, held, probability, by_proven: None }
 }
 
@@ -455,12 +455,12 @@ mod tests {
     /// If four of ten satellites are wrong by a cycle, a known position makes all four rejected.
     #[test]
     fn a_known_position_tells_which_phases_are_wrong() {
-        let known = KnownPosition {
+        let known = LocalPosition {
             position: Vector3::from(TRUTH),
             covariance: Matrix3::identity() * 4e-4,
         };
         let scratch = &mut RowScratch::default();
-        let mut place = |satellites: usize, faulty: usize, known: Option<&KnownPosition>| {
+        let mut place = |satellites: usize, faulty: usize, known: Option<&LocalPosition>| {
             let (mut epoch, border, arcs) = epoch(satellites, SATELLITES, 0.0);
             for row in &mut epoch.rows[..faulty] {
                 row.range_m += WAVELENGTH_M;
@@ -473,7 +473,7 @@ mod tests {
         assert!(1.0 < sigma_m(place(3, 0, None)));
         assert!((0.015..0.0201).contains(&sigma_m(place(3, 0, Some(&known)))));
         let (alone, with) = (place(SATELLITES, 0, None), place(SATELLITES, 0, Some(&known)));
-        let vague = KnownPosition { covariance: Matrix3::identity() * 1e4, ..known };
+        let vague = LocalPosition { covariance: Matrix3::identity() * 1e4, ..known };
         let shared = place(SATELLITES, 0, Some(&vague));
         assert!(sigma_m(with) < sigma_m(alone));
         assert!((sigma_m(shared) / sigma_m(alone) - 0.8_f64.sqrt().recip()).abs() < 1e-3);

@@ -69,12 +69,12 @@ impl HoldState {
                 self.datums += 1;
                 HeldInteger { datum: self.datums, cycles: 0 }
             });
-            arcs.find(reference, zero, proven_after);
+            arcs.record_integer(reference, zero, proven_after);
         }
         for &(arc, reference, integer) in found {
             let zero = arcs.list()[reference].held.expect("references have one now");
             let cycles = zero.cycles + integer;
-            arcs.find(arc, HeldInteger { cycles, ..zero }, proven_after);
+            arcs.record_integer(arc, HeldInteger { cycles, ..zero }, proven_after);
         }
     }
 

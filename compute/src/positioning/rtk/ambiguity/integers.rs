@@ -15,7 +15,7 @@ use crate::positioning::rtk::observed::{Arcs, CarrierArc, HeldInteger};
 
 use super::acceptance::{lambda_options, refusal};
 use super::differences::{Differences, DoubleDifference};
-use super::fixed_position::{FixedPosition, KnownPosition, fixed_position};
+use super::fixed_position::{FixedPosition, LocalPosition, fixed_position};
 use super::float::FloatSolution;
 use super::held_integers::HeldIntegers;
 use super::hold::{FOUND_EPOCHS, Found, HoldState, NEARLY_CERTAIN};
@@ -221,7 +221,7 @@ impl IntegerSearch {
             return OfHeld::Disagreeing;
         }
         let least = if is_enough { 1.0 } else { options.probability_min };
-        let by_proven = is_enough.then(|| KnownPosition::of(&rest));
+        let by_proven = is_enough.then(|| LocalPosition::of(&rest));
         let trial = self.try_others(arcs, hold, &rest, &others, judgement);
         let (rest, added, likely) = trial.unwrap_or((rest, 0, 1.0));
         let fixed = fixed_position(&rest, held.len() + added, probability * likely * least);
@@ -308,6 +308,7 @@ impl IntegerSearch {
             if probability < options.probability_min {
                 continue;
             }
+            let known = self.differences.which(|pair| pair.known.is_some()).len();
             let [agreeing, contradicting] = self.compare_with_known(&wanted);
             if 0 < contradicting {
                 if probability <= hold.probability {
@@ -318,7 +319,8 @@ impl IntegerSearch {
             }
             if replaces_held {
                 hold.release(arcs);
-            } else if agreeing < options.fixed_min {
+            } else if agreeing < known.clamp(1, options.fixed_min) {
+                // These are other integers than those of the epochs before.
                 hold.missed();
             }
             let proven_after = judgement.proven_after(probability);
@@ -490,7 +492,7 @@ mod tests {
 
     fn hold_all(arcs: &mut Arcs, integers: impl Iterator<Item = i64>) {
         for (index, cycles) in integers.enumerate() {
-            arcs.find(index, HeldInteger { datum: 1, cycles }, 1);
+            arcs.record_integer(index, HeldInteger { datum: 1, cycles }, 1);
         }
     }
 
@@ -528,7 +530,7 @@ mod tests {
     fn an_integer_that_is_not_found_again_is_forgotten() {
         let (mut arcs, mut hold) = (arcs(0), HoldState::default());
         for (index, cycles) in (0..N as i64).map(|k| k * k).enumerate() {
-            arcs.find(index, HeldInteger { datum: 1, cycles }, 9);
+            arcs.record_integer(index, HeldInteger { datum: 1, cycles }, 9);
         }
         let mut float = float();
         float.covariance[(3 + 1, 3 + 1)] += 25.0;

@@ -4,7 +4,7 @@ use crate::gnss::SatelliteId;
 use crate::positioning::rtk::observed::{Arcs, CarrierArc};
 
 use super::acceptance::lambda_options;
-use super::confirmation::Separated;
+use super::confirmation::SearchWithout;
 use super::integers::{IntegerQuestion, IntegerSearch, may_be_integer};
 
 /// Upper bound of a log ratio of evidence, so that sums stay finite: such a model outweighs all
@@ -47,7 +47,7 @@ impl IntegerSearch {
 
 impl Separator<'_> {
     /// Searches without one satellite; `None` where too few ambiguities are left.
-    pub(crate) fn without(&mut self, left_out: SatelliteId) -> Option<Separated> {
+    pub(crate) fn without(&mut self, left_out: SatelliteId) -> Option<SearchWithout> {
         let IntegerQuestion { noise, options, .. } = *self.question;
         let (list, pairs) = (self.arcs.list(), &self.search.differences.pairs);
         let is_left_out = |arc: usize| list[arc].satellite == left_out;
@@ -63,6 +63,6 @@ impl Separator<'_> {
         let found = held.without(entries.chain(groups.map(of)), &lambda)?;
         let log_evidence = found.log_evidence - held.log_evidence();
         let evidence = log_evidence.min(LOG_EVIDENCE_MOST).exp();
-        Some(Separated { probability: found.probability, evidence })
+        Some(SearchWithout { probability: found.probability, evidence })
     }
 }

@@ -333,7 +333,7 @@ impl Arcs {
 
     /// Records that the search of this epoch has found the integer of one arc, which is proven
     /// after `proven_after` such epochs in a row.
-    pub(crate) fn find(&mut self, index: usize, integer: HeldInteger, proven_after: u32) {
+    pub(crate) fn record_integer(&mut self, index: usize, integer: HeldInteger, proven_after: u32) {
         let arc = &mut self.list[index];
         if arc.held != Some(integer) {
             arc.forget_integer();

@@ -42,9 +42,12 @@ pub(crate) struct CodeBiases {
 state_fields!(CodeBiases { list });
 
 impl CodeBiases {
-    /// The bias of a difference and its index. There is no index if both codes are the same or the
+    /// The bias of a difference, which begins if it is new, and its index. There is no index if both codes are the same or the
     /// list is full.
-    pub(crate) fn of(&mut self, difference: &SingleDifference) -> (CodeBias, Option<usize>) {
+    pub(crate) fn find_or_begin(
+        &mut self,
+        difference: &SingleDifference,
+    ) -> (CodeBias, Option<usize>) {
         let SingleDifference { satellite, codes, .. } = *difference;
         if difference.shares_code {
             return (CodeBias { satellite, codes, bias_m: 0.0, variance_m2: 0.0 }, None);
@@ -107,24 +110,24 @@ mod tests {
     #[test]
     fn biases_are_learnt() {
         let mut biases = CodeBiases::default();
-        let (bias, index) = biases.of(&difference(7));
+        let (bias, index) = biases.find_or_begin(&difference(7));
         assert_eq!((bias.bias_m, bias.variance_m2, index), (0.0, 0.09, Some(0)));
         biases.learn(0, 0.4, 0.18, 1.0);
-        let (bias, _) = biases.of(&difference(7));
+        let (bias, _) = biases.find_or_begin(&difference(7));
         assert!((bias.bias_m - 0.2).abs() < 1e-12 && (bias.variance_m2 - 0.045).abs() < 1e-12);
         biases.learn(0, 3.0, 0.18, 1.0);
-        assert_eq!(biases.of(&difference(7)).0, bias);
+        assert_eq!(biases.find_or_begin(&difference(7)).0, bias);
         for _ in 0..1000 {
-            let (known, _) = biases.of(&difference(7));
+            let (known, _) = biases.find_or_begin(&difference(7));
             biases.learn(0, 0.4 - known.bias_m, known.variance_m2 + 0.09, 0.5);
         }
-        let (bias, _) = biases.of(&difference(7));
+        let (bias, _) = biases.find_or_begin(&difference(7));
         assert!((bias.bias_m - 0.4).abs() < 0.01, "{bias:?}");
         assert_eq!(bias.variance_m2, 0.05 * 0.05);
-        assert_eq!(biases.of(&difference(8)).1, Some(1));
-        assert_eq!(biases.of(&difference(7)).1, Some(0));
+        assert_eq!(biases.find_or_begin(&difference(8)).1, Some(1));
+        assert_eq!(biases.find_or_begin(&difference(7)).1, Some(0));
         let alike = SingleDifference { shares_code: true, ..difference(9) };
-        let (bias, index) = biases.of(&alike);
+        let (bias, index) = biases.find_or_begin(&alike);
         assert_eq!((bias.variance_m2, index), (0.0, None));
     }
 
@@ -137,7 +140,9 @@ mod tests {
             [code(k / 676, k / 26), code(0, k)].map(Option::unwrap)
         });
         let mut index = |biases: &mut CodeBiases| {
-            biases.of(&SingleDifference { codes: codes.next().unwrap(), ..difference(1) }).1
+            biases
+                .find_or_begin(&SingleDifference { codes: codes.next().unwrap(), ..difference(1) })
+                .1
         };
         for k in 0..BIASES_MAX {
             assert_eq!(index(&mut biases), Some(k));

@@ -116,8 +116,8 @@ impl NoiseScale {
         let square = residuals.iter().map(|residual| residual * residual).sum::<f64>() / left;
         let (_, median, _) = residuals.select_nth_unstable_by(n / 2, f64::total_cmp);
         let freedom = n as f64 / left;
-        let stated = self.value.powi(2);
-        let seen = (*median * NORMAL_OVER_MEDIAN).powi(2) * stated * freedom;
+        let present = self.value.powi(2);
+        let seen = (*median * NORMAL_OVER_MEDIAN).powi(2) * present * freedom;
         self.learnt = (self.learnt + 1.0).min(NOISE_EPOCHS);
         let epochs = self.learnt + EXCESS_PRIOR_EPOCHS;
         self.mean += (square - self.mean) / epochs;
@@ -125,7 +125,7 @@ impl NoiseScale {
         let usual = self.mean.clamp(f64::EPSILON, 1.0);
         let excess = (square / usual - 1.0).powi(2) - 2.0 / left;
         self.excess += (excess - self.excess) / epochs;
-        let mean = stated + (seen - stated) / (self.learnt + NOISE_PRIOR_EPOCHS);
+        let mean = present + (seen - present) / (self.learnt + NOISE_PRIOR_EPOCHS);
         self.value = mean.sqrt().clamp(*NOISE_SCALES.start(), *NOISE_SCALES.end());
     }
 }

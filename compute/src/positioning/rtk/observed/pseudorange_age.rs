@@ -27,9 +27,9 @@ snapshot_fields!(LastPseudorange { satellite, codes, last });
 state_fields!(LastPseudoranges { list });
 
 impl LastPseudoranges {
-    /// Fraction of a pseudorange's information that is independent of the carrier's last one: the
-    /// time since then over the correlation time of errors, at most one.
-    pub(crate) fn independent_share(
+    /// Records a pseudorange. Returns the fraction of its information that is independent of the
+    /// carrier's last one: the time since then over the correlation time of errors, at most one.
+    pub(crate) fn record(
         &mut self,
         difference: &SingleDifference,
         time: GpsTime,
@@ -85,9 +85,8 @@ mod tests {
     fn a_pseudorange_soon_after_another_counts_in_part() {
         let mut ages = LastPseudoranges::default();
         let at = |seconds: f64| GpsTime::EPOCH + seconds;
-        let mut independent_share = |number, code, seconds| {
-            ages.independent_share(&difference(number, code), at(seconds), 30.0)
-        };
+        let mut independent_share =
+            |number, code, seconds| ages.record(&difference(number, code), at(seconds), 30.0);
         assert_eq!(independent_share(7, "1C", 0.0), 1.0);
         assert_eq!(independent_share(7, "1C", 6.0), 0.2);
         assert_eq!(independent_share(7, "1W", 6.0), 1.0, "another code");
@@ -96,6 +95,6 @@ mod tests {
         ages.forget_before(at(46.0));
         assert_eq!(ages.list.len(), 1);
         ages.clear();
-        assert_eq!(ages.independent_share(&difference(7, "1C"), at(47.0), 30.0), 1.0);
+        assert_eq!(ages.record(&difference(7, "1C"), at(47.0), 30.0), 1.0);
     }
 }

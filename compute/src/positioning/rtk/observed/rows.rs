@@ -58,9 +58,8 @@ impl NewRows<'_> {
         let correlation_s = self.options.rtk.pseudorange_correlation_s;
         for difference in group {
             let Some(pseudorange) = difference.pseudorange else { continue };
-            let independent_share =
-                last_pseudoranges.independent_share(difference, epoch.time, correlation_s);
-            let (bias, index) = biases.of(difference);
+            let independent_share = last_pseudoranges.record(difference, epoch.time, correlation_s);
+            let (bias, index) = biases.find_or_begin(difference);
             let noise_m2 = pseudorange_noise.value.powi(2) * pseudorange.variance_m2;
             epoch.rows.push(DifferenceFactor {
                 sight: difference.common,

@@ -26,7 +26,7 @@ pub(crate) struct PaperChain {
     pub(crate) velocity_m_s: Option<Vector3<f64>>,
     /// Satellites and Doppler of the newest epoch, for its answer.
     pub(crate) newest: RtkEpoch,
-    /// Always empty: nothing goes from one epoch to the next.
+    /// Without arcs: nothing goes from one epoch to the next.
     pub(crate) tracking: Tracking,
 }
 
