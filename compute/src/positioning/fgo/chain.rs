@@ -48,7 +48,7 @@ pub(super) struct Chain {
     pub(super) begun: [bool; Constellation::COUNT],
     sequence: usize,
     /// Time of its first epoch.
-    started: GpsTime,
+    pub(super) started: GpsTime,
     /// Whether the start is proven: by the agreement of one epoch's pseudoranges, or with the
     /// mixture by the search for other positions.
     pub(super) is_proven: bool,
@@ -118,11 +118,6 @@ impl Chain {
     /// Time of the newest epoch.
     pub(super) fn last_time(&self) -> Option<GpsTime> {
         self.epochs.last().map(|epoch| epoch.time)
-    }
-
-    /// Time of its first epoch.
-    pub(super) fn started(&self) -> Option<GpsTime> {
-        (!self.epochs.is_empty()).then_some(self.started)
     }
 
     /// Largest number of epochs that each have separate biases; zero if the biases are constant.

@@ -168,7 +168,7 @@ impl SlidingWindow {
 
     /// Time of the chain's first epoch.
     pub(crate) fn started(&self) -> Option<GpsTime> {
-        self.chain.started()
+        (!self.is_empty()).then_some(self.chain.started)
     }
 
     /// Empties the chain. What was learnt about the receiver stays.

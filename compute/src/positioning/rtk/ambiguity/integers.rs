@@ -308,7 +308,6 @@ impl IntegerSearch {
             if probability < options.probability_min {
                 continue;
             }
-            let known = self.differences.which(|pair| pair.known.is_some()).len();
             let [agreeing, contradicting] = self.compare_with_known(&wanted);
             if 0 < contradicting {
                 if probability <= hold.probability {
@@ -319,7 +318,7 @@ impl IntegerSearch {
             }
             if replaces_held {
                 hold.release(arcs);
-            } else if agreeing < known.clamp(1, options.fixed_min) {
+            } else if agreeing < options.fixed_min {
                 // These are other integers than those of the epochs before.
                 hold.missed();
             }
