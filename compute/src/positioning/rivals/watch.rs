@@ -257,8 +257,8 @@ mod tests {
     }
 
     /// Six satellites are direct at the trajectory, and their mirror images at a position 60 m to
-    /// the east. At the other position each is 36 m late. As long as both are as likely, the trajectory
-    /// does not settle.
+    /// the east. At the other position each is 36 m late. As long as both are as likely, the
+    /// trajectory does not settle.
     #[test]
     fn a_position_settles_only_while_no_other_is_possible() {
         let error = PseudorangeError { sigma_m: 2.0, reflected: 0.3, extra_path_m: 40.0 };

@@ -90,10 +90,8 @@ impl Judgement<'_> {
     }
 }
 
-/// What the proven integers are worth at an epoch.
-enum OfHeld {
-    /// The float solution agrees with them.
-    Fixed(Resolution),
+/// Why held integers do not fix an epoch.
+enum Unfixed {
     /// Too few of their arcs have a phase.
     TooFew,
     /// The float solution is too far from them.
@@ -159,10 +157,10 @@ impl IntegerSearch {
         }
         let held = Options { probability_min: options.hold_probability_min, ..lambda };
         match self.resolve_held(arcs, hold, &joint, &Judgement { options: &held, ..all }) {
-            OfHeld::Fixed(resolution) => resolution,
+            Ok(resolution) => resolution,
             // The others may return.
-            OfHeld::TooFew => self.resolve_all(arcs, hold, &joint, &all),
-            OfHeld::Disagreeing => {
+            Err(Unfixed::TooFew) => self.resolve_all(arcs, hold, &joint, &all),
+            Err(Unfixed::Disagreeing) => {
                 let instead = Judgement { replaces_held: true, ..all };
                 let resolution = self.resolve_all(arcs, hold, &joint, &instead);
                 if resolution.outcome.is_err() && hold.period == period {
@@ -195,7 +193,7 @@ impl IntegerSearch {
         hold: &mut HoldState,
         joint: &Joint,
         judgement: &Judgement<'_>,
-    ) -> OfHeld {
+    ) -> Result<Resolution, Unfixed> {
         let Judgement { options, .. } = *judgement;
         let is_enough = options.fixed_min <= self.differences.which(|pair| pair.is_proven).len();
         let is_held =
@@ -203,10 +201,10 @@ impl IntegerSearch {
         let held = self.differences.which(is_held);
         let others = self.differences.which(|pair| !is_held(pair));
         if held.len() < options.fixed_min {
-            return OfHeld::TooFew;
+            return Err(Unfixed::TooFew);
         }
         let conditioned = condition(joint, &held, &self.known_values(&held), &others);
-        let Some((rest, squared_norm)) = conditioned else { return OfHeld::Disagreeing };
+        let (rest, squared_norm) = conditioned.ok_or(Unfixed::Disagreeing)?;
         // Errors that are correlated in time put float ambiguities further from their integers than
         // their covariance allows. This is no evidence against the integers as long as no others
         // fit better.
@@ -214,18 +212,18 @@ impl IntegerSearch {
             true => self.held.load(&self.differences.pairs, &held, joint, options).map(|l| l.odds),
             false => Some(1.0),
         };
-        let Some(odds) = against else { return OfHeld::Disagreeing };
+        let odds = against.ok_or(Unfixed::Disagreeing)?;
         let against_others = scale_odds(odds, hold.probability);
         let probability = given_unfixed_ambiguities(against_others, &rest);
         if probability < options.probability_min {
-            return OfHeld::Disagreeing;
+            return Err(Unfixed::Disagreeing);
         }
         let least = if is_enough { 1.0 } else { options.probability_min };
         let by_proven = is_enough.then(|| LocalPosition::of(&rest));
         let trial = self.try_others(arcs, hold, &rest, &others, judgement);
         let (rest, added, likely) = trial.unwrap_or((rest, 0, 1.0));
         let fixed = fixed_position(&rest, held.len() + added, probability * likely * least);
-        OfHeld::Fixed(Resolution {
+        Ok(Resolution {
             ambiguities: self.differences.pairs.len(),
             ratio: hold.ratio,
             success_rate: hold.success_rate,
