@@ -58,7 +58,7 @@ impl AidingDesk {
 
     /// Opens the desk with the stored data and with calibrations of antennas. A base whose antenna
     /// is among them has that calibration from its next epoch on. In a cluster the leader sees to
-    /// this, by [`Self::calibrate_bases`].
+    /// this when it takes the lead.
     ///
     /// # Errors
     /// The store fails, or a row is corrupt.
