@@ -42,8 +42,8 @@ pub(crate) struct CodeBiases {
 state_fields!(CodeBiases { list });
 
 impl CodeBiases {
-    /// The bias of a difference, which begins if it is new, and its index. There is no index if both
-    /// codes are the same or the list is full.
+    /// The bias of a difference, which begins if it is new, and its index. There is no index if
+    /// both codes are the same or the list is full.
     pub(crate) fn find_or_begin(
         &mut self,
         difference: &SingleDifference,
